@@ -1,0 +1,39 @@
+"""Hand-made models of robots. To bring one's own, write a module like `spot` with an object that is a `Simulator`."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from simgap.recordings import decode_state, encode_state
+from simgap.types import Simulator
+
+
+def parameter_ranges(simulator: Simulator) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    """Lower and upper ends of the plausible ranges."""
+    return (
+        np.array([p.low for p in simulator.parameters], np.float32),
+        np.array([p.high for p in simulator.parameters], np.float32),
+    )
+
+
+def sample_parameters(simulator: Simulator, key: PRNGKeyArray, count: int) -> Float[Array, "count p"]:
+    """phi ~ p(phi): uniform in the plausible ranges [Hoffman et al. 2025, Sim-FSVGD]."""
+    low, high = parameter_ranges(simulator)
+    return jax.random.uniform(key, (count, len(low)), minval=low, maxval=high)
+
+
+def state_difference(simulator: Simulator, params: Float[Array, " p"], x: Float[Array, " x"]) -> Float[Array, " y"]:
+    """g(x, phi): the simulator on the learning problem's input and output.
+
+    x = [encoded s_t, u_{t-2}, u_{t-1}, u_t], y = encoded s_{t+1} - encoded s_t. The paper's equations take u_t alone.
+    """
+    encoded, command = x[: len(simulator.schema.encoded)], x[-len(simulator.schema.command) :]
+    state_next = simulator.step(params, decode_state(simulator.schema, encoded), command)
+    return encode_state(simulator.schema, state_next) - encoded
+
+
+def midrange(simulator: Simulator) -> Float[Array, " p"]:
+    """The middle of the plausible ranges: where fits start."""
+    low, high = parameter_ranges(simulator)
+    return jnp.asarray((low + high) / 2)

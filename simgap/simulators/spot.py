@@ -1,0 +1,110 @@
+"""The paper's kinematic model of a Boston Dynamics Spot with arm, line by line [Hoffman et al. 2025, Kinematic Model].
+
+State s = [p_base, v_base, p_ee, v_ee] in R^12, world frame; command u = [u_base, u_ee] in R^6, body frame.
+Parameters phi = [alpha, beta, gamma] in R^24.
+"""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from simgap.types import Field, Parameter, Schema
+
+SCHEMA = Schema(
+    state=(
+        Field("base_x", "m", "position", "world"),
+        Field("base_y", "m", "position", "world"),
+        Field("base_yaw", "rad", "angle", "world"),
+        Field("base_vx", "m/s", "velocity", "world"),
+        Field("base_vy", "m/s", "velocity", "world"),
+        Field("base_wz", "rad/s", "velocity", "world"),
+        Field("ee_x", "m", "position", "world"),
+        Field("ee_y", "m", "position", "world"),
+        Field("ee_z", "m", "position", "world"),
+        Field("ee_vx", "m/s", "velocity", "world"),
+        Field("ee_vy", "m/s", "velocity", "world"),
+        Field("ee_vz", "m/s", "velocity", "world"),
+    ),
+    command=(
+        Field("cmd_base_vx", "m/s", "velocity", "body"),
+        Field("cmd_base_vy", "m/s", "velocity", "body"),
+        Field("cmd_base_wz", "rad/s", "velocity", "body"),
+        Field("cmd_ee_vx", "m/s", "velocity", "body"),
+        Field("cmd_ee_vy", "m/s", "velocity", "body"),
+        Field("cmd_ee_vz", "m/s", "velocity", "body"),
+    ),
+)
+
+# The paper estimates plausible ranges heuristically from recordings and prints none. These are the published
+# implementation's (github.com/benjirer/simulation_transfer, spot_sim_config.py), but for gamma's upper end: the
+# published training sessions advance by 0.10 to 0.16 s of motion a row, 1.5 to 2.4 nominal steps of 1/15 s.
+_VELOCITY_UNITS = ("m/s", "m/s", "rad/s", "m/s", "m/s", "m/s")
+_POSITION_UNITS = ("m", "m", "rad", "m", "m", "m")
+_ALPHA_HIGH = (0.8, 0.8, 0.8, 0.2, 0.2, 0.6)
+# beta_1:3 and beta_7:9 shift velocities, beta_4:6 and beta_10:12 shift positions.
+_BETA_UNITS = _VELOCITY_UNITS[:3] + _POSITION_UNITS[:3] + _VELOCITY_UNITS[3:] + _POSITION_UNITS[3:]
+_BETA_HIGH = (0.003,) * 3 + (0.01,) * 3 + (0.003,) * 3 + (0.01,) * 3
+PARAMETERS = (
+    *(Parameter(f"alpha_{i + 1}", "-", 0.0, _ALPHA_HIGH[i]) for i in range(6)),
+    *(Parameter(f"beta_{i + 1}", _BETA_UNITS[i], -_BETA_HIGH[i], _BETA_HIGH[i]) for i in range(12)),
+    *(Parameter(f"gamma_{i + 1}", "-", 0.9, 2.4) for i in range(6)),
+)
+
+
+def rotation(theta: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """R(theta), body to world about the vertical axis [Hoffman et al. 2025, eq. 3]."""
+    c, s = jnp.cos(theta), jnp.sin(theta)
+    return jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def induced_velocity(omega: Float[Array, ""], arm: Float[Array, " 3"]) -> Float[Array, " 3"]:
+    """v^ind = [-omega d sin(phi), omega d cos(phi), 0] [Hoffman et al. 2025, Kinematic Model].
+
+    With d and phi the length and direction of the horizontal `arm` [m] from base to end-effector, d sin(phi) and
+    d cos(phi) are its y and x: the same number, with a gradient where d = 0.
+    """
+    return jnp.array([-omega * arm[1], omega * arm[0], 0.0])
+
+
+def step(
+    params: Float[Array, " 24"], state: Float[Array, " 12"], command: Float[Array, " 6"], time_step: float
+) -> Float[Array, " 12"]:
+    """s_{t+1} = f_kin(s_t, u_t) [Hoffman et al. 2025, eqs. 3-5]; units as in `SCHEMA`, `time_step` [s]."""
+    alpha, beta, gamma = params[:6], params[6:18], params[18:]
+    p_base, v_base, p_ee, v_ee = state[:3], state[3:6], state[6:9], state[9:]
+
+    # [Hoffman et al. 2025, eq. 3]
+    R = rotation(p_base[2])
+    u_base, u_ee = R @ command[:3], R @ command[3:]
+
+    # [Hoffman et al. 2025, eq. 4]
+    v_base_next = alpha[:3] * v_base + (1 - alpha[:3]) * u_base + beta[:3]
+    p_base_next = p_base + time_step * gamma[:3] * v_base_next + beta[3:6]
+
+    # [Hoffman et al. 2025, eq. 5]; D_ee = diag(1, 1, 0)
+    arm = p_ee - jnp.array([p_base[0], p_base[1], 0.0])
+    v_ind = induced_velocity(v_base_next[2], arm)
+    base_motion = jnp.array([v_base_next[0], v_base_next[1], 0.0])
+    v_ee_next = alpha[3:] * v_ee + (1 - alpha[3:]) * u_ee + beta[6:9] + base_motion + v_ind
+    p_ee_next = p_ee + time_step * gamma[3:] * v_ee_next + beta[9:]
+
+    return jnp.concatenate([p_base_next, v_base_next, p_ee_next, v_ee_next])
+
+
+@dataclass(frozen=True)
+class Spot:
+    """The kinematic model as a `Simulator`.
+
+    time_step: nominal interval between rows [s].
+    """
+
+    time_step: float = 1 / 15
+    schema: Schema = SCHEMA
+    parameters: tuple[Parameter, ...] = PARAMETERS
+
+    def step(
+        self, params: Float[Array, " 24"], state: Float[Array, " 12"], command: Float[Array, " 6"]
+    ) -> Float[Array, " 12"]:
+        """The next state; see `step`."""
+        return step(params, state, command, self.time_step)

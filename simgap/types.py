@@ -1,0 +1,128 @@
+"""The nouns of the project: what is recorded, what is learnt from, what is predicted, and the protocols that join them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+Kind = Literal["position", "angle", "velocity"]
+Frame = Literal["world", "body"]
+
+
+class SimgapError(Exception):
+    """An error that its message explains to the person who can mend it: what must hold, what came, what to do."""
+
+
+class RecordingError(SimgapError):
+    """A recording that cannot be used; the message names file, column, row and remedy."""
+
+
+class ConfigError(SimgapError):
+    """A parameter that is unknown, missing or out of its range; the message names it."""
+
+
+class DivergenceError(SimgapError):
+    """A computation that left the finite numbers; the message says where and what may help."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One state or command column: its name, its unit, what it measures and the frame it is given in."""
+
+    name: str
+    unit: str
+    kind: Kind
+    frame: Frame
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One simulator parameter: its name, its unit and its plausible range, from which priors are drawn."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Schema:
+    """The columns of a robot's recordings, in order."""
+
+    state: tuple[Field, ...]
+    command: tuple[Field, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns a recording file must have, `time_s` first."""
+        return ("time_s", *(f.name for f in self.state), *(f.name for f in self.command))
+
+    @property
+    def encoded(self) -> tuple[str, ...]:
+        """Names of the encoded state: every angle replaced by its sine and its cosine."""
+        names: list[str] = []
+        for field in self.state:
+            names += [f"sin_{field.name}", f"cos_{field.name}"] if field.kind == "angle" else [field.name]
+        return tuple(names)
+
+
+class Recording(NamedTuple):
+    """One session as measured: row t is the state at time t and the command sent at time t."""
+
+    name: str
+    time_s: Float[np.ndarray, " T"]
+    state: Float[np.ndarray, "T s"]
+    command: Float[np.ndarray, "T u"]
+
+
+class Transitions(NamedTuple):
+    """Rows for supervised learning: x = [encoded state, u_{t-2}, u_{t-1}, u_t], y = change of the encoded state."""
+
+    x: Float[Array, "N x"]
+    y: Float[Array, "N y"]
+    session: Int[Array, " N"]
+
+
+class Prediction(NamedTuple):
+    """A predictive mixture with equal weights, in original units.
+
+    Component l predicts `mean[l]` with independent noise of scale `scale` and tails `dof` (degrees of freedom of a
+    Student t; infinite for Gaussian noise) per output.
+    """
+
+    mean: Float[Array, "L y"]
+    scale: Float[Array, " y"]
+    dof: Float[Array, " y"]
+
+
+class Simulator(Protocol):
+    """A hand-made model of a robot: pure, differentiable, with parameters in plausible ranges."""
+
+    schema: Schema
+    parameters: tuple[Parameter, ...]
+    time_step: float
+
+    def step(
+        self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
+    ) -> Float[Array, " s"]:
+        """The next state."""
+        ...
+
+
+class Prior(NamedTuple):
+    """Gaussian approximation of a functional prior's marginals at one measurement set X of k points.
+
+    Output i has mean `mean[:, i]` and precision `precision[i]`; where o = 1, one precision serves all outputs.
+    """
+
+    mean: Float[Array, "k y"]
+    precision: Float[Array, "o k k"]
+
+
+DynamicsModel = Callable[[Float[Array, " x"]], Prediction]
+"""A learnt model of the dynamics: one input x to the predictive distribution of y."""
+
+Report = Callable[[int, dict[str, float]], None]
+"""`report(step, metrics)`: how long work tells its caller of progress, on the host, between compiled chunks."""
