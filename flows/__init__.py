@@ -1,0 +1,24 @@
+"""Prefect flows: compose tasks, nothing else. The only place that reads the environment, the clock and the directory.
+
+Importing this package settles what libraries read from the environment at their import, before any of them is.
+"""
+
+import os
+
+_DEFAULTS = {
+    # Several cells train side by side, a thread each: no library may spread one cell's work over the cores.
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "OPENBLAS_NUM_THREADS": "1",
+    # Without a running server, a flow starts one of its own; on two cores that takes longer than the default 20 s.
+    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
+    "PREFECT_LOGGING_LEVEL": "WARNING",
+    # No telemetry.
+    "DO_NOT_TRACK": "true",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "DVC_NO_ANALYTICS": "1",
+}
+for _name, _value in _DEFAULTS.items():
+    os.environ.setdefault(_name, _value)
+if "PREFECT_API_URL" not in os.environ:
+    os.environ.setdefault("PREFECT_HOME", os.path.abspath(".prefect"))

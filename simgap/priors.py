@@ -1,6 +1,6 @@
 """Functional priors, as Gaussian marginals at measurement sets [Hoffman et al. 2025, Function Space Inference].
 
-Nothing here depends on the particles that are trained, so the factors are prepared once for many measurement sets.
+Nothing here depends on the particles that are trained, so the marginals are prepared once, for many measurement sets.
 All inputs and outputs are normalised.
 """
 
@@ -8,12 +8,17 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import lapack
 
-from simgap.types import Prior
+from simgap.types import DivergenceError, Prior
 
 JITTER = 1e-4
-"""Added to covariances' diagonals, in units of the outputs' variance, so that single precision can factor them."""
+"""Added to covariances' diagonals, in units of the outputs' variance, so that they can be inverted."""
+
+Marginals = Callable[[Float[Array, "k x"]], tuple[Float[Array, "k y"], Float[Array, "o k k"]]]
+"""Mean and covariance of a process at k points; where o = 1, one covariance serves all outputs."""
 
 
 def gram(x: Float[Array, "k x"], lengthscale: float, outputscale: float) -> Float[Array, "k k"]:
@@ -22,29 +27,60 @@ def gram(x: Float[Array, "k x"], lengthscale: float, outputscale: float) -> Floa
     return outputscale**2 * jnp.exp(-squared / (2 * lengthscale**2))
 
 
-def _precision(covariance: Float[Array, "o k k"]) -> Float[Array, "o k k"]:
-    identity = jnp.eye(covariance.shape[-1])
-    factor = jnp.linalg.cholesky(covariance + JITTER * identity)
-    return jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(factor)
+def gp_marginals(outputs: int, lengthscale: float, outputscale: float) -> Marginals:
+    """FSVGD's prior: a zero-mean Gaussian process per output, in closed form."""
+    return lambda x: (jnp.zeros((x.shape[0], outputs)), gram(x, lengthscale, outputscale)[None])
 
 
-def gp_prior(x: Float[Array, "k x"], outputs: int, lengthscale: float, outputscale: float) -> Prior:
-    """Zero-mean Gaussian process, independent per output: FSVGD's prior, in closed form."""
-    return Prior(jnp.zeros((x.shape[0], outputs)), _precision(gram(x, lengthscale, outputscale)[None]))
-
-
-def simulator_prior(
-    x: Float[Array, "k x"], functions: Float[Array, "P k y"], lengthscale: float, outputscale: float
-) -> Prior:
-    """Domain-model process plus sim-to-real Gaussian process [Hoffman et al. 2025, Sim-FSVGD].
+def simulator_marginals(
+    functions: Callable[[Float[Array, "k x"]], Float[Array, "P k y"]], lengthscale: float, outputscale: float
+) -> Marginals:
+    """Sim-FSVGD's prior: domain-model process plus sim-to-real Gaussian process [Hoffman et al. 2025, Sim-FSVGD].
 
     `functions` are P simulators, phi ~ p(phi), at the points x. Their mean and covariance are estimated; the
     sim-to-real process adds its covariance in closed form. Per output i: N(mu_i, cov_i + K).
     """
-    mean = functions.mean(0)
-    centred = functions - mean
-    covariance = jnp.einsum("pki,pli->ikl", centred, centred) / (functions.shape[0] - 1)
-    return Prior(mean, _precision(covariance + gram(x, lengthscale, outputscale)))
+
+    def marginals(x: Float[Array, "k x"]) -> tuple[Float[Array, "k y"], Float[Array, "y k k"]]:
+        h = functions(x)
+        mean = h.mean(0)
+        centred = h - mean
+        covariance = jnp.einsum("pki,pli->ikl", centred, centred) / (h.shape[0] - 1)
+        return mean, covariance + gram(x, lengthscale, outputscale)
+
+    return marginals
+
+
+def _invert(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """Inverse of a symmetric positive definite matrix, by Cholesky factors in double precision.
+
+    Not jax.numpy.linalg: its LAPACK calls share XLA's thread pool with whatever runs beside them, and two threads
+    that train at once dead-lock there (seen with jax 0.10.2).
+    """
+    factor, failed = lapack.dpotrf(covariance, lower=1)
+    inverse, failed_inverse = lapack.dpotri(factor, lower=1)
+    if failed or failed_inverse:
+        raise DivergenceError(
+            f"a prior covariance of {len(covariance)} points is not positive definite; its values range from "
+            f"{np.min(covariance):.3g} to {np.max(covariance):.3g}. Narrow the parameters' ranges, or raise outputscale."
+        )
+    return np.tril(inverse) + np.tril(inverse, -1).T
+
+
+def prepare(measurement_sets: Float[Array, "M k x"], marginals: Marginals, at_once: int = 16) -> Prior:
+    """The prior at M measurement sets, leading axis M; `at_once` sets are held in double precision at a time.
+
+    Raises DivergenceError where a covariance cannot be inverted.
+    """
+    compute = jax.jit(lambda sets: jax.lax.map(marginals, sets))
+    means, precisions = [], []
+    for start in range(0, len(measurement_sets), at_once):
+        mean, covariance = compute(measurement_sets[start : start + at_once])
+        covariance = np.asarray(covariance, np.float64) + JITTER * np.eye(covariance.shape[-1])
+        inverse = [_invert(c) for c in covariance.reshape(-1, *covariance.shape[-2:])]
+        means.append(mean)
+        precisions.append(np.asarray(inverse, np.float32).reshape(covariance.shape))
+    return Prior(jnp.concatenate(means), jnp.asarray(np.concatenate(precisions)))
 
 
 def score(prior: Prior, h: Float[Array, "L k y"]) -> Float[Array, "L k y"]:
@@ -53,10 +89,3 @@ def score(prior: Prior, h: Float[Array, "L k y"]) -> Float[Array, "L k y"]:
     if prior.precision.shape[0] == 1:
         return -jnp.einsum("kl,Lli->Lki", prior.precision[0], difference)
     return -jnp.einsum("ikl,Lli->Lki", prior.precision, difference)
-
-
-def prepare(
-    measurement_sets: Float[Array, "M k x"], prior: Callable[[Float[Array, "k x"]], Prior]
-) -> tuple[Float[Array, "M k x"], Prior]:
-    """The prior at every measurement set, one set at a time to keep memory small."""
-    return measurement_sets, jax.lax.map(prior, measurement_sets)

@@ -124,3 +124,10 @@ def normalisation(x: Float[Array, "N x"], y: Float[Array, "N y"]) -> Normalisati
     """Statistics of the data at hand; a column that never changes gets unit scale."""
     scale = lambda a: jnp.where(a.std(0) > 1e-6, a.std(0), 1.0)  # noqa: E731
     return Normalisation(x.mean(0), scale(x), y.mean(0), scale(y))
+
+
+def normalise(
+    stats: Normalisation, x: Float[Array, "N x"], y: Float[Array, "N y"]
+) -> tuple[Float[Array, "N x"], Float[Array, "N y"]]:
+    """Inputs and outputs less their mean, in units of their standard deviation."""
+    return (x - stats.x_mean) / stats.x_std, (y - stats.y_mean) / stats.y_std

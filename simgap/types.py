@@ -19,7 +19,7 @@ class RecordingError(SimgapError):
     """A recording that cannot be used; the message names file, column, row and remedy."""
 
 
-class ConfigError(SimgapError):
+class ConfigError(SimgapError, ValueError):
     """A parameter that is unknown, missing or out of its range; the message names it."""
 
 
@@ -108,6 +108,14 @@ class Simulator(Protocol):
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
     ) -> Float[Array, " s"]:
         """The next state."""
+        ...
+
+    def to_body(self, state: Float[Array, " s"]) -> Float[Array, " s"]:
+        """The state in coordinates whose ranges are independent of each other, such as the robot's own frame."""
+        ...
+
+    def from_body(self, body: Float[Array, " s"]) -> Float[Array, " s"]:
+        """Inverse of `to_body`."""
         ...
 
 

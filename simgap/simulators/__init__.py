@@ -1,11 +1,12 @@
 """Hand-made models of robots. To bring one's own, write a module like `spot` with an object that is a `Simulator`."""
 
+from collections.abc import Callable
+
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from simgap.recordings import decode_state, encode_state
+from simgap.recordings import Normalisation, decode_state, encode_state
 from simgap.types import Simulator
 
 
@@ -33,7 +34,15 @@ def state_difference(simulator: Simulator, params: Float[Array, " p"], x: Float[
     return encode_state(simulator.schema, state_next) - encoded
 
 
-def midrange(simulator: Simulator) -> Float[Array, " p"]:
-    """The middle of the plausible ranges: where fits start."""
-    low, high = parameter_ranges(simulator)
-    return jnp.asarray((low + high) / 2)
+def normalised_functions(
+    simulator: Simulator, phi: Float[Array, "P p"], stats: Normalisation
+) -> Callable[[Float[Array, "k x"]], Float[Array, "P k y"]]:
+    """The domain-model process: P simulators as functions from normalised inputs to normalised outputs."""
+
+    def functions(x: Float[Array, "k x"]) -> Float[Array, "P k y"]:
+        at_all_points = jax.vmap(lambda p, x: state_difference(simulator, p, x), in_axes=(None, 0))
+        h = jax.vmap(at_all_points, in_axes=(0, None))(phi, x * stats.x_std + stats.x_mean)
+        return (h - stats.y_mean) / stats.y_std
+
+    return functions
+

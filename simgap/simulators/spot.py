@@ -92,6 +92,20 @@ def step(
     return jnp.concatenate([p_base_next, v_base_next, p_ee_next, v_ee_next])
 
 
+def to_body(state: Float[Array, " 12"]) -> Float[Array, " 12"]:
+    """The state with velocities turned into the body frame, and the hand's horizontal position from the base."""
+    R = rotation(state[2]).T
+    hand = R @ (state[6:9] - jnp.array([state[0], state[1], 0.0]))
+    return jnp.concatenate([state[:3], R @ state[3:6], hand, R @ state[9:]])
+
+
+def from_body(body: Float[Array, " 12"]) -> Float[Array, " 12"]:
+    """Inverse of `to_body`."""
+    R = rotation(body[2])
+    hand = R @ body[6:9] + jnp.array([body[0], body[1], 0.0])
+    return jnp.concatenate([body[:3], R @ body[3:6], hand, R @ body[9:]])
+
+
 @dataclass(frozen=True)
 class Spot:
     """The kinematic model as a `Simulator`.
@@ -108,3 +122,11 @@ class Spot:
     ) -> Float[Array, " 12"]:
         """The next state; see `step`."""
         return step(params, state, command, self.time_step)
+
+    def to_body(self, state: Float[Array, " 12"]) -> Float[Array, " 12"]:
+        """See `to_body`."""
+        return to_body(state)
+
+    def from_body(self, body: Float[Array, " 12"]) -> Float[Array, " 12"]:
+        """See `from_body`."""
+        return from_body(body)

@@ -1,0 +1,28 @@
+"""Stage `recordings`: sessions in, from the virtual Spot or from a folder."""
+
+from pathlib import Path
+
+from prefect import flow
+
+from flows.start import main
+from tasks import files, progress, recordings
+from tasks.params import Params, VirtualParams
+from tasks.workspace import Workspace
+
+
+@flow(name="recordings", flow_run_name="recordings-{source}")
+def run(source: str, params: Params, root: Path) -> None:
+    """Write the training and test sessions of a source in the documented format."""
+    workspace, block = Workspace(root, source), params.source(source)
+    files.remove_folder(workspace.recordings)
+    if isinstance(block, VirtualParams):
+        rows = recordings.record_virtual(workspace, block)
+    else:
+        rows, errors = recordings.import_folder(workspace, block, 1 / params.transitions.nominal_rate_hz)
+        for error in errors:
+            progress.say(f"left out: {error}")
+    progress.say(f"recordings of {source}: {len(rows)} sessions, {sum(rows.values()):,} rows in {workspace.recordings}")
+
+
+if __name__ == "__main__":
+    main(run)

@@ -1,0 +1,31 @@
+"""Stage `score`: every model of the grid on the test sessions."""
+
+import time
+from pathlib import Path
+
+from prefect import flow
+
+from flows.start import main
+from tasks import progress, score, train
+from tasks.params import Params
+from tasks.workspace import Workspace
+
+
+@flow(name="score", flow_run_name="score-{source}")
+def run(source: str, params: Params, root: Path) -> None:
+    """Score every cell that has a model; a missing one is named."""
+    workspace, cells = Workspace(root, source), train.grid(params.train)
+    test = score.load_test(workspace, 1 / params.transitions.nominal_rate_hz)
+    rows = []
+    with progress.bars(f"score on {source}", len(cells), time.monotonic) as bars:
+        for cell in cells:
+            with bars.job(f"{cell.noise}/{cell.name}", 1):
+                if workspace.record(cell).exists():
+                    rows.append(score.score_cell(workspace, cell, test, params.score))
+                else:
+                    progress.say(f"no model of {cell.noise}/{cell.name}: left out of the scores")
+    score.write(workspace, rows)
+
+
+if __name__ == "__main__":
+    main(run)

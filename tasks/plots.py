@@ -1,0 +1,54 @@
+"""The one door to matplotlib: figures as files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+LABELS = {"sim_model": "SIM-MODEL", "fsvgd": "FSVGD", "sim_fsvgd": "Sim-FSVGD"}
+_STYLE = {"sim_model": ("#7f7f7f", "s"), "fsvgd": ("#d1722d", "^"), "sim_fsvgd": ("#1f5fa8", "o")}
+_JITTER = 0.012  # of the N range, so that models' points do not hide each other
+
+
+def against_n(
+    path: Path, rows: Sequence[dict[str, Any]], panels: Sequence[tuple[str, str, str]], title: str, dpi: int
+) -> None:
+    """A panel per (noise, score, label): mean over seeds with its spread (one std), every seed a dot, against N.
+
+    `rows` are scores, one a cell.
+    """
+    figure, axes = plt.subplots(1, len(panels), figsize=(4.6 * len(panels), 3.8), squeeze=False, layout="constrained")
+    for ax, (noise, score, label) in zip(axes[0], panels, strict=True):
+        _panel(ax, [r for r in rows if r["noise"] == noise], score)
+        ax.set(xlabel="transitions N", ylabel=label, title=f"noise: {noise.replace('_', ' ')}")
+    axes[0][0].legend(frameon=False)
+    figure.suptitle(title)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _panel(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:
+    sizes = sorted({r["sample_size"] for r in rows})
+    shift = _JITTER * (max(sizes) - min(sizes) or 1)
+    for k, (model, label) in enumerate(LABELS.items()):
+        colour, marker = _STYLE[model]
+        groups = [(n, [r[score] for r in rows if r["model"] == model and r["sample_size"] == n]) for n in sizes]
+        groups = [(n, values) for n, values in groups if values]
+        if not groups:
+            continue
+        x = [n + (k - 1) * shift for n, _ in groups]
+        means = [sum(v) / len(v) for _, v in groups]
+        spread = [(sum((a - m) ** 2 for a in v) / len(v)) ** 0.5 for (_, v), m in zip(groups, means, strict=True)]
+        ax.errorbar(x, means, spread, color=colour, marker=marker, capsize=3, lw=1.6, ms=6, label=label)
+        for position, (_, values) in zip(x, groups, strict=True):
+            ax.plot([position] * len(values), values, ".", color=colour, alpha=0.45, ms=5)
+    ax.set_xticks(sizes)
+    ax.yaxis.set_major_locator(MaxNLocator(6))
+    ax.grid(alpha=0.25)

@@ -1,0 +1,88 @@
+"""Progress for people: bars with rates and remaining time in a terminal, a line now and then in a log."""
+
+import logging
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from simgap.types import Report
+
+_EVERY_S = 15.0
+console = Console()
+
+
+class Bars:
+    """A bar for the whole and one for each job under way; safe to use from several threads."""
+
+    def __init__(self, progress: Progress, what: str, total: int, clock: Callable[[], float]) -> None:
+        self._progress, self._clock = progress, clock
+        self._whole = progress.add_task(what, total=total, rate="")
+        self._what, self._total, self._done = what, total, 0
+        self._spoke = clock()
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def job(self, name: str, steps: int) -> Iterator[Report]:
+        """A job of so many steps; yields its `report`."""
+        bar = self._progress.add_task(f"  {name}", total=steps, rate="")
+        start = self._clock()
+
+        def report(step: int, metrics: dict[str, float]) -> None:
+            rate = step / max(self._clock() - start, 1e-9)
+            shown = ", ".join(f"{k.replace('_', ' ')} {v:.2f}" for k, v in metrics.items())
+            self._progress.update(bar, completed=step, rate=f"{rate:,.0f} steps/s  {shown}")
+            self._say(f"{name}: step {step:,} of at most {steps:,}, {rate:,.0f} steps/s, {shown}")
+
+        try:
+            yield report
+        finally:
+            self._progress.remove_task(bar)
+            with self._lock:
+                self._done += 1
+            self._progress.update(self._whole, advance=1)
+            self._say(f"{self._what}: {self._done} of {self._total} done ({name})", always=True)
+
+    def _say(self, line: str, always: bool = False) -> None:
+        if console.is_terminal:
+            return
+        with self._lock:
+            if always or self._clock() - self._spoke > _EVERY_S:
+                self._spoke = self._clock()
+                console.print(line, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def bars(what: str, total: int, clock: Callable[[], float]) -> Iterator[Bars]:
+    """Bars for `total` jobs; `clock` gives seconds."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+               TimeRemainingColumn(), TextColumn("{task.fields[rate]}"))  # fmt: skip
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield Bars(progress, what, total, clock)
+
+
+def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Print rows of the same keys as a table."""
+    if not rows:
+        return
+    view = Table(title=title, title_justify="left")
+    for name in rows[0]:
+        view.add_column(name.replace("_", " "), justify="left" if isinstance(rows[0][name], str) else "right")
+    for row in rows:
+        view.add_row(*(f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()))
+    console.print(view)
+
+
+def say(line: str) -> None:
+    """Print a line, above the bars if there are any."""
+    console.print(line, highlight=False, soft_wrap=True)
+
+
+def quiet_libraries() -> None:
+    """Leave warnings and errors of the libraries' logs, drop their chatter."""
+    for name in ("httpx", "alembic", "mlflow", "prefect"):
+        logging.getLogger(name).setLevel(logging.WARNING)

@@ -1,0 +1,51 @@
+"""Stage `score`: every model of the grid on the test sessions."""
+
+from typing import Any
+
+from prefect import task
+
+from simgap import scores
+from simgap.simulators.spot import SCHEMA
+from simgap.types import Recording, Transitions
+from tasks import files, transitions
+from tasks.params import ScoreParams
+from tasks.workspace import Cell, Workspace
+
+TABLE = "scores.json"
+
+
+@task(task_run_name="load-test-sessions-{workspace.source}")
+def load_test(workspace: Workspace, time_step: float) -> tuple[Transitions, list[Recording]]:
+    """The test sessions' transitions, and the sessions themselves for rollouts."""
+    recordings, errors = files.read_recordings(workspace.recordings / "test", SCHEMA, time_step)
+    if errors:
+        raise errors[0]
+    return transitions.load(workspace, "test"), recordings
+
+
+@task(task_run_name="score-{cell.noise}/{cell.name}")
+def score_cell(
+    workspace: Workspace, cell: Cell, test: tuple[Transitions, list[Recording]], params: ScoreParams
+) -> dict[str, Any]:
+    """The cell's scores, with what identifies it and how long it trained."""
+    rows, recordings = test
+    model = files.load_model(workspace.model(cell))
+    record = files.read_json(workspace.record(cell))
+    return {
+        **cell._asdict(),
+        "seconds": record["seconds"],
+        "steps": record["steps"],
+        **scores.one_step(model, rows, SCHEMA.encoded),
+        **scores.multi_step(model, SCHEMA, recordings, tuple(params.horizons), params.stride),
+    }
+
+
+@task(task_run_name="write-scores-{workspace.source}")
+def write(workspace: Workspace, rows: list[dict[str, Any]]) -> None:
+    """One row a cell."""
+    files.write_json(workspace.scores / TABLE, {"cells": rows})
+
+
+def load(workspace: Workspace) -> list[dict[str, Any]]:
+    """The rows that `write` wrote."""
+    return files.read_json(workspace.scores / TABLE)["cells"]

@@ -1,0 +1,284 @@
+"""The door to MLflow: one parent run per grid, one child run per cell, in a store that survives kills and fan-out.
+
+Every call names its store and its run: no active run, which is per thread, and no global tracking URI, which MLflow
+would write into the environment. A `Store` and a `Run` are names only; they travel to other threads and processes.
+"""
+
+import fcntl
+import json
+import math
+import os
+import re
+import shlex
+import socket
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mlflow.pyfunc
+import numpy as np
+import pandas as pd
+import psutil
+from mlflow import MlflowClient
+from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
+from mlflow.exceptions import MlflowException
+from mlflow.models import Model, ModelSignature
+from mlflow.types import ColSpec, Schema
+from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID
+
+from simgap.types import SimgapError
+from tasks import pyfunc
+
+MODEL = "model"
+"""Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
+CURVES = "training/"
+"""Prefix of the curves' names, so that a curve and a score of one name stay apart."""
+NON_FINITE = "non_finite"
+"""Tag that names the metrics that had an infinite or undefined value."""
+ERROR = "error"
+"""Tag with what ended a run early."""
+
+_HOST, _PID = "simgap.host", "simgap.pid"
+_POINTS = 100  # a curve's, more than a plot shows
+_PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
+_CLOCK_SLACK_S = 60.0
+# The project itself is left out: it is on no index, and the name may come to be another's there.
+_REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxtyping", "numpy", "scipy", "pandas")]
+
+
+@dataclass(frozen=True)
+class Store:
+    """Where runs are kept: tracking URI and experiment."""
+
+    uri: str
+    experiment: str
+    experiment_id: str
+
+    @property
+    def client(self) -> MlflowClient:
+        """MLflow's client; it keeps one connection pool per URI and process, so that making one costs nothing."""
+        return MlflowClient(self.uri)
+
+
+def open_store(root: Path, experiment: str, uri: str | None = None) -> Store:
+    """The experiment in SQLite at `root/mlflow.db` with artifacts under `root/mlruns`, or in the store at `uri`.
+
+    Creates what is missing, one process at a time (MLflow's migrations die when two run them at once), so call it
+    before any fan-out.
+    """
+    root = root.resolve()
+    root.mkdir(parents=True, exist_ok=True)
+    uri = uri or f"sqlite:///{root / 'mlflow.db'}"
+    # A server says itself where artifacts go; to a database the client would write them under its working directory.
+    artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
+    with (root / "mlflow.db.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return Store(uri, experiment, _experiment_id(MlflowClient(uri), experiment, artifacts))
+
+
+def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
+    found = client.get_experiment_by_name(name)
+    if found is None:
+        return client.create_experiment(name, artifact_location=artifacts)
+    if found.lifecycle_stage != "active":
+        raise SimgapError(
+            f"The MLflow experiment {name!r} must be active and is {found.lifecycle_stage}. Restore it with "
+            f"`mlflow experiments restore --experiment-id {found.experiment_id}`, or end it with `mlflow gc`."
+        )
+    return found.experiment_id
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run to write to, under way or finished: scores may come from a later stage as `Run(store, run_id).scores(...)`.
+
+    Parameters cannot be changed once logged: another attempt at a cell is another run.
+    """
+
+    store: Store
+    run_id: str
+
+    def params(self, params: Mapping[str, Any]) -> None:
+        """Parameters; nested ones as `train.bnn.learning_rate`."""
+        entries = [Param(key, str(value)) for key, value in _flat(params)]
+        for some in _batches(entries, _PARAMS_PER_BATCH):
+            self.store.client.log_batch(self.run_id, params=some)
+
+    def tags(self, tags: Mapping[str, str]) -> None:
+        """Tags, those of the same name replaced."""
+        self.store.client.log_batch(self.run_id, tags=[RunTag(key, value) for key, value in tags.items()])
+
+    def curve(self, steps: Sequence[int], metrics: Mapping[str, Sequence[float]]) -> None:
+        """Training curves, as `training/<name>`: at most 100 points each, with the first, last, least and greatest."""
+        points = [
+            (CURVES + name, float(values[i]), int(steps[i]))
+            for name, values in metrics.items()
+            for i in _representative(np.asarray(values, np.float64))
+        ]
+        self._log(points, model_id=None)
+
+    def scores(self, scores: Mapping[str, float]) -> None:
+        """Results, shown beside the run and, if its model was logged before, beside the model."""
+        outputs = self.store.client.get_run(self.run_id).outputs
+        models = outputs.model_outputs if outputs else []
+        self._log([(name, float(value), 0) for name, value in scores.items()], models[-1].model_id if models else None)
+
+    def _log(self, points: list[tuple[str, float, int]], model_id: str | None) -> None:
+        # Curves are logged after the fact: the step says when, and the run's start serves as time.
+        time_ms = self.store.client.get_run(self.run_id).info.start_time
+        # MLflow would return an infinity as 1.8e308, which ruins axes and comparisons.
+        metrics = [
+            Metric(name, value if math.isfinite(value) else math.nan, time_ms, step, model_id)
+            for name, value, step in points
+        ]
+        for some in _batches(metrics, _METRICS_PER_BATCH):
+            self.store.client.log_batch(self.run_id, metrics=some)
+        self._tag_non_finite({name for name, value, _ in points if not math.isfinite(value)})
+
+    def _tag_non_finite(self, names: set[str]) -> None:
+        if names:
+            before = self.store.client.get_run(self.run_id).data.tags.get(NON_FINITE)
+            self.tags({NON_FINITE: ", ".join(sorted(names | set(before.split(", ") if before else ())))})
+
+    def dataset(self, name: str, path: Path, digest: str, context: str) -> None:
+        """A data set the run used: its digest (the first 36 characters) and the context, like `training` or `test`."""
+        source = json.dumps({"uri": str(path)})
+        dataset = Dataset(name, digest[:_DIGEST_LENGTH], source_type="local", source=source)
+        inputs = [DatasetInput(dataset, [InputTag(MLFLOW_DATASET_CONTEXT, context)])]
+        try:
+            self.store.client.log_inputs(self.run_id, datasets=inputs)
+        except MlflowException:
+            # Another run entered the same data set between MLflow's look and its insert: now it is there to be found.
+            self.store.client.log_inputs(self.run_id, datasets=inputs)
+
+    def model(self, model_path: Path, columns_in: Sequence[str], columns_out: Sequence[str]) -> str:
+        """A file of `files.save_model`, loadable by `mlflow.pyfunc.load_model` with the URI returned.
+
+        A table of `columns_in` goes in, one of `mean_<output>` and `std_<output>` comes out; see `tasks.pyfunc`.
+        """
+        # MLflow's own `log_model` writes to the global tracking URI; these are its steps, with the store named.
+        client = self.store.client
+        logged = client.create_logged_model(
+            self.store.experiment_id, MODEL, self.run_id, params=client.get_run(self.run_id).data.params
+        )
+        description = Model(logged.artifact_location, self.run_id, model_id=logged.model_id)
+        with tempfile.TemporaryDirectory() as scratch:
+            _save_pyfunc(Path(scratch) / MODEL, model_path, description, columns_in, columns_out)
+            client.log_model_artifacts(logged.model_id, str(Path(scratch) / MODEL))
+        client.finalize_logged_model(logged.model_id, "READY")
+        client.log_outputs(self.run_id, [LoggedModelOutput(logged.model_id, step=0)])
+        return f"models:/{logged.model_id}"
+
+
+def _save_pyfunc(
+    path: Path, model_path: Path, description: Model, columns_in: Sequence[str], columns_out: Sequence[str]
+) -> None:
+    columns_predicted = [f"{moment}_{name}" for moment in ("mean", "std") for name in columns_out]
+    mlflow.pyfunc.save_model(
+        path,
+        loader_module=pyfunc.__name__,
+        data_path=model_path,
+        model_config=dict(pyfunc.Columns(inputs=list(columns_in), outputs=list(columns_out))),
+        mlflow_model=description,
+        signature=ModelSignature(_numbers(columns_in), _numbers(columns_predicted)),
+        input_example=pd.DataFrame(np.zeros((1, len(columns_in))), columns=list(columns_in)),
+        pip_requirements=_REQUIREMENTS,
+    )
+
+
+def _numbers(columns: Sequence[str]) -> Schema:
+    return Schema([ColSpec("double", name) for name in columns])
+
+
+@contextmanager
+def grid_run(store: Store, name: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Iterator[Run]:
+    """The parent run of a grid; hand its `run_id` to the cells."""
+    with _run(store, name, dict(tags)) as run:
+        run.params(params)
+        yield run
+
+
+@contextmanager
+def cell_run(store: Store, parent_run_id: str, name: str, tags: Mapping[str, str]) -> Iterator[Run]:
+    """The run of one cell, with a name like `sim_fsvgd-N1000-s1`."""
+    with _run(store, name, {**tags, MLFLOW_PARENT_RUN_ID: parent_run_id}) as run:
+        yield run
+
+
+@contextmanager
+def _run(store: Store, name: str, tags: dict[str, str]) -> Iterator[Run]:
+    """A run that ends FINISHED; FAILED with the error in a tag, which is raised again; or KILLED when interrupted."""
+    owner = {_HOST: socket.gethostname(), _PID: str(os.getpid())}
+    run = Run(store, store.client.create_run(store.experiment_id, tags=tags | owner, run_name=name).info.run_id)
+    try:
+        yield run
+    except BaseException as error:
+        run.tags({ERROR: f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]})
+        store.client.set_terminated(run.run_id, "FAILED" if isinstance(error, Exception) else "KILLED")
+        raise
+    store.client.set_terminated(run.run_id)
+
+
+def close_stale_runs(store: Store) -> list[str]:
+    """Mark as KILLED the runs of this host whose process is gone; returns their names.
+
+    Runs of other hosts, whose processes cannot be seen from here, are left as they are.
+    """
+    query = f"attributes.status = 'RUNNING' and tags.`{_HOST}` = '{socket.gethostname()}'"
+    stale = [
+        run
+        for run in store.client.search_runs([store.experiment_id], query)
+        if not _alive(int(run.data.tags[_PID]), run.info.start_time / 1000)
+    ]
+    for run in stale:
+        store.client.set_terminated(run.info.run_id, "KILLED")
+    return [str(run.info.run_name) for run in stale]
+
+
+def _alive(pid: int, since_s: float) -> bool:
+    """Whether the process that had this number at that time is still there; a younger one only has its number."""
+    try:
+        process = psutil.Process(pid)
+        return process.status() != psutil.STATUS_ZOMBIE and process.create_time() <= since_s + _CLOCK_SLACK_S
+    except psutil.NoSuchProcess:
+        return False
+
+
+def link(store: Store, run_id: str) -> str:
+    """How a person finds the run: its address, or the command that serves it and the address then."""
+    page = f"#/experiments/{store.experiment_id}/runs/{run_id}"
+    if store.uri.startswith("http"):
+        return f"{_without_password(store.uri).rstrip('/')}/{page}"
+    served = f"mlflow ui --backend-store-uri {shlex.quote(_without_password(store.uri))}"
+    name = store.client.get_run(run_id).info.run_name
+    return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
+
+
+def _without_password(uri: str) -> str:
+    return re.sub(r"//[^/@]*@", "//", uri)
+
+
+def _representative(values: np.ndarray) -> list[int]:
+    """Indices of at most `_POINTS` values: evenly spaced from first to last, with the least and the greatest."""
+    if len(values) <= _POINTS:
+        return list(range(len(values)))
+    finite = np.flatnonzero(np.isfinite(values))
+    extremes = [finite[values[finite].argmin()], finite[values[finite].argmax()]] if finite.size else []
+    even = np.linspace(0, len(values) - 1, _POINTS - 2).round().astype(int)
+    return np.unique([*even, *extremes]).astype(int).tolist()
+
+
+def _flat(nested: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def _batches(entries: list[Any], size: int) -> Iterator[list[Any]]:
+    return (entries[i : i + size] for i in range(0, len(entries), size))

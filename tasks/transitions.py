@@ -1,0 +1,37 @@
+"""Stage `transitions`: sessions to rows for learning, x in R^31 and y in R^13."""
+
+from pathlib import Path
+
+import numpy as np
+from prefect import task
+
+from simgap.recordings import to_transitions
+from simgap.simulators.spot import SCHEMA
+from simgap.types import Transitions
+from tasks import files
+from tasks.workspace import SPLITS, Workspace
+
+
+@task(task_run_name="transitions-{workspace.source}-{split}")
+def prepare(workspace: Workspace, split: str, time_step: float) -> int:
+    """All transitions of a split's sessions, written as arrays; returns how many."""
+    recordings, errors = files.read_recordings(workspace.recordings / split, SCHEMA, time_step)
+    if errors:
+        raise errors[0]
+    transitions = to_transitions(SCHEMA, recordings)
+    files.save_arrays(_path(workspace, split), {k: np.asarray(v) for k, v in transitions._asdict().items()})
+    return len(transitions.x)
+
+
+def load(workspace: Workspace, split: str) -> Transitions:
+    """The transitions that `prepare` wrote."""
+    return Transitions(**files.load_arrays(_path(workspace, split)))  # type: ignore[arg-type]
+
+
+def digest(workspace: Workspace) -> str:
+    """Identifies the transitions of all splits by their content."""
+    return files.digest([_path(workspace, split) for split in SPLITS])
+
+
+def _path(workspace: Workspace, split: str) -> Path:
+    return workspace.transitions / f"{split}.npz"
