@@ -1,18 +1,39 @@
 # make run: set up and run the main job in a small size.   make test: set up and pass the checks and tests.
 BIN := .venv/bin
+SOURCE ?= virtual
 RECORDINGS ?=
 
-.PHONY: setup lock run spot test lint clean
+.PHONY: setup run test lint lock mlflow clean
 
 setup: .venv/.installed
 
 .venv/.installed: requirements.lock pyproject.toml
-	@command -v python3.11 >/dev/null || { echo "Python 3.11 is needed and python3.11 is not on the PATH."; exit 1; }
+	@command -v python3.11 >/dev/null || { echo "Python 3.11 is needed, as python3.11 on the PATH."; exit 1; }
 	python3.11 -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check uv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
 	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes requirements.lock
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --editable .
-	touch $@
+	@touch $@
+
+run: setup  ## the main job in a small size; SOURCE=spot RECORDINGS=folder for recordings of one's own
+	$(BIN)/python -m flows.reproduce $(SOURCE) --overrides small.yaml --workspace sweeps/small \
+		$(if $(RECORDINGS),--recordings $(RECORDINGS))
+
+test: setup lint  ## checks and tests
+	$(BIN)/python -m pytest
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+mlflow: setup  ## MLflow's pages on http://127.0.0.1:5000
+	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --backend-store-uri sqlite:///mlflow.db
 
 lock:  ## renew requirements.lock from pyproject.toml
-	$(BIN)/uv pip compile --quiet --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --group dev pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile --quiet --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+		--group dev pyproject.toml -o requirements.lock
+
+clean:  ## remove what runs left, but for reports and DVC's cache
+	rm -rf sweeps .prefect mlruns mlflow.db*

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from prefect import flow
 
+from flows import provenance
 from flows.start import main
 from tasks import progress, score, train
 from tasks.params import Params
@@ -15,15 +16,17 @@ from tasks.workspace import Workspace
 def run(source: str, params: Params, root: Path) -> None:
     """Score every cell that has a model; a missing one is named."""
     workspace, cells = Workspace(root, source), train.grid(params.train)
+    store = provenance.store()
     test = score.load_test(workspace, 1 / params.transitions.nominal_rate_hz)
     rows = []
     with progress.bars(f"score on {source}", len(cells), time.monotonic) as bars:
         for cell in cells:
-            with bars.job(f"{cell.noise}/{cell.name}", 1):
+            with bars.job(cell.name, 1):
                 if workspace.record(cell).exists():
                     rows.append(score.score_cell(workspace, cell, test, params.score))
+                    score.log_scores(workspace, cell, rows[-1], store)
                 else:
-                    progress.say(f"no model of {cell.noise}/{cell.name}: left out of the scores")
+                    progress.say(f"no model of {cell.name}: left out of the scores")
     score.write(workspace, rows)
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from flows import provenance
 from flows.start import main
 from simgap.types import SimgapError
-from tasks import progress, train
+from tasks import progress, tracking, train
 from tasks.params import Params
-from tasks.workspace import Workspace
+from tasks.workspace import Cell, Workspace
 
 
 @flow(name="train", flow_run_name="train-{source}")
@@ -18,24 +19,27 @@ def run(source: str, params: Params, root: Path) -> None:
     """Train every cell of the grid that is not finished; a failed cell is reported at the end and loses no other."""
     workspace, cells = Workspace(root, source), train.grid(params.train)
     train.remove_stale(workspace, cells)
-    runner = ThreadPoolTaskRunner(max_workers=params.train.workers)
-    with progress.bars(f"train on {source}", len(cells), time.monotonic) as bars, runner:
-        futures = {
-            cell: runner.submit(
-                train.train_cell,
-                {"workspace": workspace, "cell": cell, "params": params, "job": bars.job, "clock": time.perf_counter},
+    tags, store = provenance.tags(workspace), provenance.store()
+    with tracking.grid_run(store, f"grid-{source}", params.train.model_dump(), tags) as parent:
+        progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
+        failed = _fan_out(workspace, cells, params, train.Grid(parent, tags))
+        if failed:
+            raise SimgapError(
+                f"{len(failed)} of {len(cells)} cells failed; the others are kept:\n"
+                + "\n".join(f"  {name}: {why}" for name, why in failed.items())
+                + "\nMend the cause and start again: finished cells are not repeated."
             )
-            for cell in cells
-        }
-        states = {cell: (future.wait(), future.state)[1] for cell, future in futures.items()}
-    failed = {cell: state for cell, state in states.items() if not state.is_completed()}
-    for cell, state in failed.items():
-        progress.say(f"failed: {cell.noise}/{cell.name}: {state.message}")
-    if failed:
-        raise SimgapError(
-            f"{len(failed)} of {len(cells)} cells failed (see above); the others are kept. "
-            "Mend the cause and start again: finished cells are not repeated."
-        )
+
+
+def _fan_out(workspace: Workspace, cells: list[Cell], params: Params, grid: train.Grid) -> dict[str, str]:
+    """A task a cell, `params.train.workers` at a time; returns what went wrong, by cell."""
+    runner = ThreadPoolTaskRunner(max_workers=params.train.workers)
+    with progress.bars(f"train on {workspace.source}", len(cells), time.monotonic) as bars, runner:
+        common = {"workspace": workspace, "params": params, "grid": grid, "job": bars.job, "clock": time.perf_counter}
+        futures = {cell.name: runner.submit(train.train_cell, {"cell": cell, **common}) for cell in cells}
+        for future in futures.values():
+            future.wait()
+    return {name: str(f.state.message) for name, f in futures.items() if not f.state.is_completed()}
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
-"""Functional Stein variational gradient descent [Hoffman et al. 2025, eq. 2]; Sim-FSVGD is the same with another prior."""
+"""Functional Stein variational gradient descent [Hoffman et al. 2025, eq. 2]; with a simulator's prior, Sim-FSVGD."""
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jax.scipy.special import logsumexp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from simgap import networks, priors
 from simgap.models import BNN
@@ -62,7 +62,7 @@ class State(NamedTuple):
 
 
 class MeasurementSets(NamedTuple):
-    """M measurement sets X, each a batch of b training rows and k points drawn from mu, with the prior at all of them."""
+    """M measurement sets X, each a batch of b training rows and k points drawn from mu, with the prior at all."""
 
     batch: Int[Array, "M b"]
     points: Float[Array, "M k x"]
@@ -97,9 +97,7 @@ def measurement_sets(
     epochs = -(-count // batches_per_epoch)
     shuffled = jax.vmap(lambda k: jax.random.permutation(k, len(x_train)))(jax.random.split(key, epochs))
     batch = shuffled[:, : batches_per_epoch * rows].reshape(-1, rows)[:count]
-    return MeasurementSets(
-        batch, points, priors.prepare(jnp.concatenate([x_train[batch], points], axis=1), marginals)
-    )
+    return MeasurementSets(batch, points, priors.prepare(jnp.concatenate([x_train[batch], points], axis=1), marginals))
 
 
 def svgd_direction(h: Float[Array, "L d"], score: Float[Array, "L d"], bandwidth: float) -> Float[Array, "L d"]:
@@ -146,7 +144,7 @@ def step(
 
     params = (state.particles, state.noise)
     updates, optimiser = _optimiser(config).update((gradient, noise_gradient), state.optimiser, params)
-    particles, noise_params = optax.apply_updates(params, updates)
+    particles, noise_params = cast(Any, optax.apply_updates(params, updates))
     return State(particles, noise_params, optimiser), {"train_nll": -likelihood / (L * b)}
 
 

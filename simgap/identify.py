@@ -1,4 +1,4 @@
-"""SIM-MODEL: the simulator's parameters fitted to transitions, with a learned noise [Hoffman et al. 2025, Baseline Models]."""
+"""SIM-MODEL: a simulator's parameters fitted to transitions, with a noise [Hoffman et al. 2025, Baseline Models]."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +31,7 @@ class Config:
 
 def _physical(simulator: Simulator, z: Float[Array, " p"]) -> Float[Array, " p"]:
     """Parameters from coordinates in which every plausible range is [-1, 1], so that one learning rate suits all."""
-    low, high = parameter_ranges(simulator)
+    low, high = map(jnp.asarray, parameter_ranges(simulator))
     return (high + low) / 2 + (high - low) / 2 * z
 
 
@@ -61,7 +61,8 @@ def _run(
         variables, state = carry
         value, gradient = jax.value_and_grad(loss)(variables)
         updates, state = _optimiser(config).update(gradient, state, variables)
-        return (optax.apply_updates(variables, updates), state), value
+        updated: Any = optax.apply_updates(variables, updates)
+        return (updated, state), value
 
     carry, losses = jax.lax.scan(body, carry, length=steps)
     return carry, losses[-1] + jnp.log(y_std).sum()
@@ -74,7 +75,7 @@ def identify(
     noise: NoiseFamily,
     report: Report,
 ) -> tuple[Float[Array, " p"], Float[Array, " y"], Float[Array, " y"]]:
-    """Parameters, noise scale [original units] and degrees of freedom with the greatest likelihood of the one-step data.
+    """Parameters, noise scale [original units] and degrees of freedom of greatest likelihood given one-step data.
 
     Full-batch Adam from the middle of the plausible ranges; nothing keeps the parameters inside them. `report` gets
     train_nll, in original units.

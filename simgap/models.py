@@ -27,7 +27,7 @@ class FittedSpot(NamedTuple):
     params: Float[Array, " 24"]
     scale: Float[Array, " y"]
     dof: Float[Array, " y"]
-    time_step: Float[Array, ""]
+    time_step: Float[Array, ""]  # [s]
 
 
 Model = BNN | FittedSpot

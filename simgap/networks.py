@@ -1,4 +1,4 @@
-"""Multilayer perceptrons, L particles at a time: parameters are lists of (weight, bias) with a leading particle axis."""
+"""Multilayer perceptrons, L particles at a time: lists of (weight, bias) with a leading particle axis."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Recordings: what makes one usable, and how sessions become rows for learning [Hoffman et al. 2025, Data Collection]."""
+"""What makes a recording usable, and how sessions become rows for learning [Hoffman et al. 2025, Data Collection]."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

@@ -47,7 +47,7 @@ def cumulative(prediction: Prediction, y: Float[Array, " y"]) -> Float[Array, " 
 
 
 def calibration_error(probabilities: Float[np.ndarray, "n y"]) -> float:
-    """Mean over outputs and `LEVELS` p of |share of points with P(Y <= y) <= p, less p|; 0 is perfect, 0.25 is blind."""
+    """Mean over outputs and `LEVELS` p of |share of points with P(Y <= y) <= p, less p|; 0 is perfect."""
     share = (probabilities[None] <= LEVELS[:, None, None]).mean(1)
     return float(np.abs(share - LEVELS[:, None]).mean())
 

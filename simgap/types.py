@@ -1,4 +1,4 @@
-"""The nouns of the project: what is recorded, what is learnt from, what is predicted, and the protocols that join them."""
+"""The nouns of the project: what is recorded, what is learnt from, what is predicted; and protocols."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -100,9 +100,20 @@ class Prediction(NamedTuple):
 class Simulator(Protocol):
     """A hand-made model of a robot: pure, differentiable, with parameters in plausible ranges."""
 
-    schema: Schema
-    parameters: tuple[Parameter, ...]
-    time_step: float
+    @property
+    def schema(self) -> Schema:
+        """The columns of its recordings."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters phi, in order."""
+        ...
+
+    @property
+    def time_step(self) -> float:
+        """Nominal interval between rows [s]."""
+        ...
 
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]

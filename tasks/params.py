@@ -23,7 +23,9 @@ def _known_keys(config: type) -> Callable[[Any], Any]:
 
     def check(value: Any) -> Any:
         if isinstance(value, Mapping) and set(value) - names:
-            raise ValueError(f"unknown key {', '.join(sorted(set(value) - names))}; known are {', '.join(sorted(names))}")
+            raise ValueError(
+                f"unknown key {', '.join(sorted(set(value) - names))}; known are {', '.join(sorted(names))}"
+            )
         return value
 
     return check

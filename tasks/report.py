@@ -33,7 +33,7 @@ def summarise(rows: Sequence[Row]) -> list[Row]:
 
 
 def compare(rows: Sequence[Row], noise: str, model: str, other: str, score: str = "nll") -> list[Row]:
-    """`model` against `other` at every N, paired by seed (the same transitions): mean difference and its standard error.
+    """`model` against `other` at every N, paired by seed (the same draw): mean difference and its standard error.
 
     The verdict is `below` or `above` where the difference exceeds two standard errors, `level` otherwise or when fewer
     than two seeds are there.
@@ -58,7 +58,7 @@ def claims(rows: Sequence[Row], noise: str) -> list[tuple[str, str]]:
     against_fsvgd = compare(rows, noise, "sim_fsvgd", "fsvgd")
     against_sim = compare(rows, noise, "sim_fsvgd", "sim_model")
     checked = [
-        ("Sim-FSVGD below FSVGD at every N", against_fsvgd, lambda n: "below"),
+        ("Sim-FSVGD below FSVGD at every N", against_fsvgd, lambda _: "below"),
         ("Sim-FSVGD level with SIM-MODEL at N = 1000, below it from 2000 on", against_sim,
          lambda n: "above" if n < 1000 else "level" if n == 1000 else "below"),
     ]  # fmt: skip
@@ -75,7 +75,7 @@ def claims(rows: Sequence[Row], noise: str) -> list[tuple[str, str]]:
 
 
 @task(task_run_name="report-{workspace.source}")
-def write(workspace: Workspace, rows: list[Row], noises: list[str], dpi: int) -> list[Row]:
+def write(workspace: Workspace, rows: list[Row], noises: Sequence[str], dpi: int) -> list[Row]:
     """Tables, metrics, figures and the written report; returns the summary table."""
     folder = workspace.reports
     summary = summarise(rows)
@@ -125,9 +125,13 @@ def _markdown(source: str, rows: Sequence[Row], summary: Sequence[Row], noises: 
         lines += ["| model | N | " + " | ".join(scores) + " | steps | seconds |"]
         lines += ["| --- | --- |" + " --- |" * (len(scores) + 2)]
         for row in (r for r in summary if r["noise"] == noise):
-            cells = [f"{row[s]:.3g} ± {row[s + '_std']:.2g}" if "nll" not in s else f"{row[s]:.2f} ± {row[s + '_std']:.2f}"
-                     for s in scores]  # fmt: skip
+            cells = [_mean_and_spread(row, score) for score in scores]
             lines.append(f"| {LABELS[row['model']]} | {row['sample_size']} | " + " | ".join(cells)
                          + f" | {row['steps']:,.0f} | {row['seconds']:.0f} |")  # fmt: skip
         lines.append("")
     return "\n".join(lines)
+
+
+def _mean_and_spread(row: Row, score: str) -> str:
+    mean, spread = row[score], row[f"{score}_std"]
+    return f"{mean:.2f} ± {spread:.2f}" if score.startswith("nll") else f"{mean:.3g} ± {spread:.2g}"

@@ -7,7 +7,7 @@ from prefect import task
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, Transitions
-from tasks import files, transitions
+from tasks import files, tracking, transitions
 from tasks.params import ScoreParams
 from tasks.workspace import Cell, Workspace
 
@@ -23,7 +23,7 @@ def load_test(workspace: Workspace, time_step: float) -> tuple[Transitions, list
     return transitions.load(workspace, "test"), recordings
 
 
-@task(task_run_name="score-{cell.noise}/{cell.name}")
+@task(task_run_name="score-{cell.name}")
 def score_cell(
     workspace: Workspace, cell: Cell, test: tuple[Transitions, list[Recording]], params: ScoreParams
 ) -> dict[str, Any]:
@@ -38,6 +38,14 @@ def score_cell(
         **scores.one_step(model, rows, SCHEMA.encoded),
         **scores.multi_step(model, SCHEMA, recordings, tuple(params.horizons), params.stride),
     }
+
+
+@task(task_run_name="log-scores-{cell.name}", retries=1)
+def log_scores(workspace: Workspace, cell: Cell, row: dict[str, Any], store: tracking.Store) -> None:
+    """Add the scores to the cell's latest run in MLflow, if this store has one (a model from DVC's cache may not)."""
+    run = tracking.latest_run(store, {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]})
+    if run:
+        run.scores({name: value for name, value in row.items() if name not in cell._fields})
 
 
 @task(task_run_name="write-scores-{workspace.source}")

@@ -223,6 +223,17 @@ def _run(store: Store, name: str, tags: dict[str, str]) -> Iterator[Run]:
     store.client.set_terminated(run.run_id)
 
 
+def latest_run(store: Store, tags: Mapping[str, str]) -> Run | None:
+    """Of the finished runs with these tags, the one that began last."""
+    query = " and ".join(
+        ["attributes.status = 'FINISHED'", *(f"tags.`{key}` = '{value}'" for key, value in tags.items())]
+    )
+    found = store.client.search_runs(
+        [store.experiment_id], query, max_results=1, order_by=["attributes.start_time DESC"]
+    )
+    return Run(store, found[0].info.run_id) if found else None
+
+
 def close_stale_runs(store: Store) -> list[str]:
     """Mark as KILLED the runs of this host whose process is gone; returns their names.
 

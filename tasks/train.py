@@ -1,14 +1,8 @@
 """Stage `train`: one model of the grid, fitted to N transitions drawn with a seed."""
 
-import ast
-import hashlib
-import importlib.util
-import json
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +12,12 @@ from simgap import fsvgd, identify, priors
 from simgap.domain import uniform_inputs
 from simgap.models import FittedSpot, Model
 from simgap.noise import FAMILIES
-from simgap.recordings import draw, normalisation
+from simgap.recordings import HISTORY, draw, normalisation
 from simgap.simulators import normalised_functions, sample_parameters
-from simgap.simulators.spot import Spot
-from simgap.types import ConfigError, Report, SimgapError, Transitions
-from tasks import files, transitions
+from simgap.simulators.spot import SCHEMA, Spot
+from simgap.types import ConfigError, Report, Schema, SimgapError, Transitions
+from tasks import files, tracking, transitions
+from tasks.fingerprint import fingerprint, relevant_params
 from tasks.params import Params, TrainParams
 from tasks.workspace import Cell, Workspace
 
@@ -74,51 +69,19 @@ def fit(cell: Cell, data: Transitions, time_step: float, params: TrainParams, re
     return fsvgd.train(key_train, (training, validation), stats, sets, marginals, params.bnn, noise, report)
 
 
-def fingerprint(cell: Cell, data_digest: str, time_step: float, params: TrainParams) -> str:
-    """Identifies what a cell's result depends on: the data, its share of the parameters, and the code of `simgap`.
-
-    Code counts without comments and docstrings, so that rewording one does not make finished cells stale.
-    """
-    relevant = {
-        "cell": cell,
-        "data": data_digest,
-        "time_step": time_step,
-        "params": asdict(params.sim_model) if cell.model == "sim_model" else {
-            "bnn": asdict(params.bnn),
-            "prior": (params.fsvgd if cell.model == "fsvgd" else params.sim_fsvgd).model_dump(),
-            "validation_share": params.validation_share,
-        },
-        "code": _code_digest(("simgap.domain", "simgap.fsvgd", "simgap.identify", "simgap.simulators.spot")),
-    }
-    return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _code_digest(roots: Sequence[str]) -> str:
-    """Digest of modules of `simgap` and all that they import from it, comments and docstrings apart."""
-    sources: dict[str, str] = {}
-    queue = list(roots)
-    while queue:
-        name = queue.pop()
-        spec = importlib.util.find_spec(name) if name.split(".")[0] == "simgap" else None
-        if name in sources or spec is None or spec.origin is None:
-            continue
-        tree = ast.parse(Path(spec.origin).read_text())
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                queue += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-            body = getattr(node, "body", None)
-            if isinstance(body, list):
-                node.body = [s for s in body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]  # type: ignore[attr-defined]
-        sources[name] = ast.dump(tree)
-    return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
-
-
 def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
     """Whether the cell was trained before on the same data, parameters and code."""
     record = workspace.record(cell)
     return (
         workspace.model(cell).exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
     )
+
+
+class Grid(NamedTuple):
+    """The run of a whole grid in MLflow, and the tags that its cells share with it."""
+
+    run: tracking.Run
+    tags: dict[str, str]
 
 
 Job = Callable[[str, int], AbstractContextManager[Report]]
@@ -137,19 +100,27 @@ def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
     return not isinstance(state.result(raise_on_failure=False), SimgapError)
 
 
-@task(task_run_name="{cell.noise}/{cell.name}", retries=1, retry_condition_fn=_may_pass)
+@task(task_run_name="{cell.name}", retries=1, retry_condition_fn=_may_pass)
 def train_cell(
-    workspace: Workspace, cell: Cell, params: Params, job: Job, clock: Callable[[], float]
-) -> dict[str, Any]:
-    """Train one cell, unless it was finished before, and write its model and its record; returns the record.
+    workspace: Workspace, cell: Cell, params: Params, grid: Grid, job: Job, clock: Callable[[], float]
+) -> None:
+    """Train one cell, unless it was finished before; write its model and its record, and log them.
 
-    The record is written last: a run killed halfway leaves no record, and the cell is trained again. `job(name, steps)`
-    gives a context with the `report` of progress; `clock` gives seconds.
+    `job(name, steps)` gives a context with the `report` of progress; `clock` gives seconds.
     """
-    time_step = 1 / params.transitions.nominal_rate_hz
-    mark = fingerprint(cell, transitions.digest(workspace), time_step, params.train)
-    if finished(workspace, cell, mark):
-        return files.read_json(workspace.record(cell))
+    digest = transitions.digest(workspace)
+    mark = fingerprint(cell, digest, 1 / params.transitions.nominal_rate_hz, params.train)
+    with job(cell.name, steps_at_most(cell, params.train)) as report:
+        reused = finished(workspace, cell, mark)
+        if not reused:
+            _train(workspace, cell, params, mark, report, clock)
+    log_cell(workspace, cell, params.train, grid, {"transitions": digest, "reused": str(reused)})
+
+
+def _train(
+    workspace: Workspace, cell: Cell, params: Params, mark: str, report: Report, clock: Callable[[], float]
+) -> None:
+    """Fit and write; the record comes last, so that a cell killed halfway has none and is trained again."""
     curve: dict[str, list[float]] = {"step": []}
 
     def keep(step: int, metrics: dict[str, float]) -> None:
@@ -159,8 +130,8 @@ def train_cell(
         report(step, metrics)
 
     start = clock()
-    with job(f"{cell.noise}/{cell.name}", steps_at_most(cell, params.train)) as report:
-        model = fit(cell, transitions.load(workspace, "training"), time_step, params.train, keep)
+    data = transitions.load(workspace, "training")
+    model = fit(cell, data, 1 / params.transitions.nominal_rate_hz, params.train, keep)
     record = {
         **cell._asdict(),
         "fingerprint": mark,
@@ -170,7 +141,26 @@ def train_cell(
     }
     files.save_model(workspace.model(cell), model)
     files.write_json(workspace.record(cell), record)
-    return record
+
+
+def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, tags: dict[str, str]) -> tracking.Run:
+    """A finished cell as a run of the grid's: parameters, curve, data set with its digest, model."""
+    record = files.read_json(workspace.record(cell))
+    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"]}
+    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
+        run.params({**cell._asdict(), **relevant_params(cell, params)})
+        curve = dict(record["curve"])
+        run.curve([int(step) for step in curve.pop("step")], curve)
+        run.dataset(f"{workspace.source}-transitions", workspace.transitions, transitions.digest(workspace), "training")
+        run.scores({"seconds": record["seconds"], "steps": record["steps"]})
+        run.model(workspace.model(cell), input_columns(SCHEMA), SCHEMA.encoded)
+    return run
+
+
+def input_columns(schema: Schema) -> tuple[str, ...]:
+    """Names of x: the encoded state and the commands, those k rows before with the suffix `_k`."""
+    commands = [f"{c.name}_{k}" if k else c.name for k in range(HISTORY, -1, -1) for c in schema.command]
+    return (*schema.encoded, *commands)
 
 
 def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:

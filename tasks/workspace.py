@@ -17,8 +17,8 @@ class Cell(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Readable and unique among cells of one noise, like `sim_fsvgd-N1000-s1`."""
-        return f"{self.model}-N{self.sample_size}-s{self.seed}"
+        """Readable and unique, like `sim_fsvgd-gaussian-N1000-s1`."""
+        return f"{self.model}-{self.noise}-N{self.sample_size}-s{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Workspace:
         return self.root / "reports" / self.source
 
     def model(self, cell: Cell) -> Path:
-        return self.models / cell.noise / f"{cell.name}.npz"
+        return self.models / f"{cell.name}.npz"
 
     def record(self, cell: Cell) -> Path:
         """What is known of a finished cell: fingerprint, curve, seconds."""
-        return self.models / cell.noise / f"{cell.name}.json"
+        return self.models / f"{cell.name}.json"

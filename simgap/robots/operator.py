@@ -28,8 +28,8 @@ class OperatorConfig:
 
     `phase_probability` of base only, arm only, both, rest [-]; `phase_time`, shortest and longest phase [s];
     `hold_time`, shortest and longest time for which the sticks have one goal [s]; `push_probability` that a goal moves
-    an axis at all, forward and backward most often [-]; `push`, greatest push in units of a stick's travel [-]; `stick_time`, time constant in which a
-    stick follows its goal [s].
+    an axis at all, by axis [-]; `push`, greatest push in units of a stick's travel [-]; `stick_time`, time constant in
+    which a stick follows its goal [s].
     `most`, command at the end of a stick's travel [m/s, m/s, rad/s, m/s, m/s, m/s].
     `room`: greatest |x| and |y| of the base in the world [m]; `hand_low`, `hand_high`: corners of the hand's box in the
     base's frame [m]; `caution`, greatest speed towards their bounds per distance left [1/s].

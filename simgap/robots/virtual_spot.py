@@ -2,7 +2,8 @@
 
 It stands in for reality, not for a simulator to learn with, and has physics that the kinematic model lacks: delays,
 lags in the body frame, reactions between arm and base, limits of the arm, stepping. The base is a body (x, y, yaw) with
-velocity v in its own frame, the hand a point r in the base's frame: nothing depends on where the world frame lies.
+velocity v in its own frame, the hand (end-effector) a point r in the base's frame with velocity w relative to it:
+nothing depends on where the world frame lies.
 
     x' = R(yaw) v                                    r' = w
     v' = a_base - base reaction to a_arm             a_base = (u_base(t - d_base) - v) / tau_base + stepping
@@ -42,7 +43,8 @@ class VirtualSpotConfig:
     [m/s]; `turning_radius` that makes a yaw rate a walking speed [m]; `base_ripple` [m/s, m/s, rad/s] and `hand_ripple`
     [m/s], the amplitudes.
     Noise: `base_process_noise` [m/s/sqrt(s), m/s/sqrt(s), rad/s/sqrt(s)] and `hand_process_noise` [m/s/sqrt(s)] on the
-    velocities; `measurement_noise`, standard deviations in the order and units of `spot.SCHEMA`.
+    velocities; `base_measurement_noise`, `hand_measurement_noise`, standard deviations of pose and velocity in the
+    order and units of `spot.SCHEMA`.
     """
 
     time_step: float = 1 / 15
@@ -63,24 +65,12 @@ class VirtualSpotConfig:
     stride_frequency: float = 2.0
     half_speed: float = 0.3
     turning_radius: float = 0.4
-    base_ripple: tuple[float, float, float] = (0.08, 0.08, 0.30)
-    hand_ripple: tuple[float, float, float] = (0.06, 0.10, 0.12)
+    base_ripple: tuple[float, float, float] = (0.10, 0.08, 0.40)
+    hand_ripple: tuple[float, float, float] = (0.06, 0.12, 0.15)
     base_process_noise: tuple[float, float, float] = (0.04, 0.04, 0.06)
     hand_process_noise: tuple[float, float, float] = (0.06, 0.06, 0.06)
-    measurement_noise: tuple[float, ...] = (
-        0.001,
-        0.001,
-        0.002,
-        0.01,
-        0.01,
-        0.015,
-        0.002,
-        0.002,
-        0.002,
-        0.02,
-        0.02,
-        0.02,
-    )
+    base_measurement_noise: tuple[float, ...] = (0.001, 0.001, 0.002, 0.01, 0.01, 0.015)
+    hand_measurement_noise: tuple[float, ...] = (0.002, 0.002, 0.002, 0.02, 0.02, 0.02)
 
 
 class VirtualSpotState(NamedTuple):
@@ -124,7 +114,8 @@ def measure(state: VirtualSpotState, key: PRNGKeyArray, config: VirtualSpotConfi
     p_ee = state.base_pose.at[2].set(0.0) + R @ state.hand
     v_ee = R @ (base_motion + induced_velocity(state.base_velocity[2], state.hand) + state.hand_velocity)
     true = jnp.concatenate([state.base_pose, R @ state.base_velocity, p_ee, v_ee])
-    measured = true + jnp.array(config.measurement_noise) * jax.random.normal(key, (12,))
+    scale = jnp.array(config.base_measurement_noise + config.hand_measurement_noise)
+    measured = true + scale * jax.random.normal(key, (12,))
     return measured.at[2].set(jnp.arctan2(jnp.sin(measured[2]), jnp.cos(measured[2])))
 
 

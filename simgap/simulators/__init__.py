@@ -45,4 +45,3 @@ def normalised_functions(
         return (h - stats.y_mean) / stats.y_std
 
     return functions
-

@@ -25,7 +25,9 @@ def test_planted_parameters_are_recovered(noise: str) -> None:
     sigma = 0.02
     y = y + sigma * jax.random.normal(jax.random.key(4), y.shape)
     nll: list[float] = []
-    params, scale, dof = identify.identify(SPOT, (x, y), CONFIG, FAMILIES[noise], lambda _, m: nll.append(m["train_nll"]))
+    params, scale, dof = identify.identify(
+        SPOT, (x, y), CONFIG, FAMILIES[noise], lambda _, m: nll.append(m["train_nll"])
+    )
     np.testing.assert_allclose(params[:6], planted[:6], atol=0.02)
     np.testing.assert_allclose(params[6:18], planted[6:18], atol=0.005)
     np.testing.assert_allclose(params[18:], planted[18:], atol=0.05)

@@ -11,7 +11,9 @@ R = np.linspace(-6, 6, 25)
 
 
 def test_gaussian_density() -> None:
-    np.testing.assert_allclose(gaussian_log_density(jnp.asarray(R), jnp.array(0.7)), stats.norm.logpdf(R, scale=0.7), rtol=1e-5)
+    np.testing.assert_allclose(
+        gaussian_log_density(jnp.asarray(R), jnp.array(0.7)), stats.norm.logpdf(R, scale=0.7), rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("dof", [1.1, 3.0, 40.0])

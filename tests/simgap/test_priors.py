@@ -52,7 +52,7 @@ def test_prepare_does_the_same_for_every_set() -> None:
 
 
 def test_a_covariance_that_is_none_is_named() -> None:
-    broken = lambda x: (jnp.zeros((2, 1)), -jnp.eye(2)[None])  # noqa: E731
+    broken = lambda _: (jnp.zeros((2, 1)), -jnp.eye(2)[None])  # noqa: E731
     with pytest.raises(DivergenceError, match="not positive definite"):
         priors.prepare(jnp.zeros((1, 2, 1)), broken)
 

@@ -40,7 +40,7 @@ def perfect() -> tuple[FittedSpot, Recording]:
     commands = jnp.asarray(RNG.uniform(-0.5, 0.5, (80, 6)), jnp.float32)
     start = jnp.zeros(12).at[6].set(0.8).at[8].set(0.6)
 
-    def advance(s, u):  # noqa: ANN001, ANN202
+    def advance(s, u):
         return step(phi, s, u, 1 / 15), s
 
     _, states = jax.lax.scan(advance, start, commands)

@@ -6,6 +6,7 @@ import pickle
 import re
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -20,7 +21,7 @@ from scipy import stats
 
 from simgap import models, networks
 from simgap.recordings import Normalisation
-from simgap.simulators import midrange
+from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import DivergenceError, SimgapError
 from tasks import files, pyfunc, tracking
@@ -64,7 +65,10 @@ def bnn() -> models.BNN:
 
 
 def fitted_spot() -> models.FittedSpot:
-    return models.FittedSpot(midrange(Spot()), jnp.full(13, 0.1), jnp.full(13, jnp.inf), jnp.asarray(1 / 15))
+    low, high = parameter_ranges(Spot())
+    return models.FittedSpot(
+        jnp.asarray((low + high) / 2), jnp.full(13, 0.1), jnp.full(13, jnp.inf), jnp.asarray(1 / 15)
+    )
 
 
 def test_a_grid_holds_its_cells(store: Store):
@@ -135,6 +139,21 @@ def test_a_failing_cell_fails_alone(store: Store):
     assert "error" not in facts(good).data.tags
 
 
+def test_the_latest_run_is_found_by_its_tags(store: Store):
+    mark = {"fingerprint": "abc", "git": "f00"}
+    with tracking.cell_run(store, "none", "older", mark):
+        pass
+    time.sleep(0.01)  # start times are in milliseconds
+    with tracking.cell_run(store, "none", "latest", mark) as latest:
+        pass
+    with pytest.raises(ValueError, match="no"), tracking.cell_run(store, "none", "failed", mark):
+        raise ValueError("no")
+    with tracking.cell_run(store, "none", "other", {"fingerprint": "abc", "git": "f01"}):
+        pass
+    assert tracking.latest_run(store, mark) == latest
+    assert tracking.latest_run(store, {"fingerprint": "unknown"}) is None
+
+
 def test_threads_log_cells_at_once(store: Store, tmp_path: Path):
     files.save_model(tmp_path / "model.npz", fitted_spot())
 
@@ -156,6 +175,20 @@ def test_threads_log_cells_at_once(store: Store, tmp_path: Path):
         assert found.data.metrics == {"k": k} | {f"training/m{i}": k for i in range(5)}
         assert [d.dataset.digest for d in found.inputs.dataset_inputs] == ["1234"]
         assert len(found.outputs.model_outputs) == 1
+
+
+def test_a_data_set_may_be_entered_by_several_runs_at_once(store: Store):
+    runs = [Run(store, store.client.create_run(store.experiment_id).info.run_id) for _ in range(4)]
+    together = threading.Barrier(len(runs))
+
+    def log(run: Run) -> None:
+        for k in range(20):
+            together.wait(timeout=30)
+            run.dataset(f"raced-{k}", Path("raced.npz"), "1234", "test")
+
+    with ThreadPoolExecutor(len(runs)) as pool:
+        list(pool.map(log, runs))
+    assert [len(facts(run).inputs.dataset_inputs) for run in runs] == [20] * 4
 
 
 def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):

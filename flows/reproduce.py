@@ -1,0 +1,58 @@
+"""All stages in order, outside DVC: in a small size (`make run`), with other parameters, in a workspace of its own."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import yaml
+from prefect import flow
+
+from flows import recordings, report, score, train, transitions
+from flows.start import PARAMS, guarded
+from simgap.types import SimgapError
+from tasks import progress
+from tasks.params import Params, load_params
+from tasks.workspace import Workspace
+
+
+@flow(name="reproduce", flow_run_name="reproduce-{source}")
+def run(source: str, params: Params, root: Path) -> None:
+    """Recordings to report in the folder `root`; cells that failed are told after the report on the rest."""
+    recordings.run(source, params, root)
+    transitions.run(source, params, root)
+    failure: SimgapError | None = None
+    try:
+        train.run(source, params, root)
+    except SimgapError as error:
+        failure = error
+        progress.say(f"error: {error}\nScores and report follow for what there is.")
+    score.run(source, params, root)
+    report.run(source, params, root)
+    folder = Workspace(root, source).reports
+    progress.say(
+        f"\nreport   {folder / 'report.md'}\nfigures  {folder}\n"
+        "MLflow   .venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db   (experiment model-validation)"
+    )
+    if failure:
+        raise failure
+
+
+def _main() -> None:
+    parser = argparse.ArgumentParser(description=run.__doc__)
+    parser.add_argument("source", nargs="?", default="virtual", help="a block of params.yaml's recordings")
+    parser.add_argument("--workspace", type=Path, required=True, help="folder for data, models and report")
+    parser.add_argument("--overrides", type=Path, action="append", default=[], help="YAML file merged into params.yaml")
+    parser.add_argument("--recordings", type=Path, help="folder that takes the place of the source's own")
+    arguments = parser.parse_args()
+
+    def work() -> None:
+        overrides: list[dict[str, Any]] = [yaml.safe_load(path.read_text()) for path in arguments.overrides]
+        if arguments.recordings:
+            overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
+        run(arguments.source, load_params(PARAMS, *overrides), arguments.workspace)
+
+    guarded(work)
+
+
+if __name__ == "__main__":
+    _main()

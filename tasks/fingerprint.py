@@ -1,0 +1,82 @@
+"""What a trained cell's result depends on, as one short mark: equal marks, equal results."""
+
+import ast
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import simgap
+from tasks.params import TrainParams
+from tasks.workspace import Cell
+
+_ROOTS = ("simgap.domain", "simgap.fsvgd", "simgap.identify", "simgap.simulators.spot")
+
+
+def fingerprint(cell: Cell, data_digest: str, time_step: float, params: TrainParams) -> str:
+    """Identifies what a cell's result depends on: the data, its share of the parameters, and the code of `simgap`.
+
+    Code counts without comments and docstrings, so that rewording one does not make finished cells stale.
+    """
+    relevant = {
+        "cell": cell,
+        "data": data_digest,
+        "time_step": time_step,
+        "params": relevant_params(cell, params),
+        "code": _code_digest(modules_of_training()),
+    }
+    return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def relevant_params(cell: Cell, params: TrainParams) -> dict[str, Any]:
+    """The share of the parameters that a cell's result depends on."""
+    if cell.model == "sim_model":
+        return asdict(params.sim_model)
+    prior = params.fsvgd if cell.model == "fsvgd" else params.sim_fsvgd
+    return {**asdict(params.bnn), "prior": prior.model_dump(), "validation_share": params.validation_share}
+
+
+def modules_of_training() -> list[Path]:
+    """The modules of `simgap` that training runs, by their imports."""
+    found: dict[Path, None] = {}
+    queue = list(_ROOTS)
+    while queue:
+        path = _source(queue.pop())
+        if path is None or path in found:
+            continue
+        found[path] = None
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                queue += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    # Types and errors say what things are; no number depends on them.
+    return sorted(path for path in found if path.name != "types.py")
+
+
+def _code_digest(paths: Sequence[Path]) -> str:
+    """Digest of modules as the interpreter sees them, comments and docstrings apart."""
+    trees = []
+    for path in paths:
+        tree = ast.parse(path.read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+                node.body = [s for s in node.body if not _is_docstring(s)]
+        trees.append((path.name, ast.dump(tree)))
+    return hashlib.sha256(json.dumps(trees).encode()).hexdigest()
+
+
+def _is_docstring(statement: ast.stmt) -> bool:
+    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+
+
+def _source(module: str) -> Path | None:
+    """The file of a module of `simgap`; None for anything else, such as a name imported from a module."""
+    package, *parts = module.split(".")
+    if package != simgap.__name__:
+        return None
+    path = Path(simgap.__file__).parent.joinpath(*parts)
+    for candidate in (path / "__init__.py", path.with_suffix(".py")):
+        if candidate.is_file():
+            return candidate
+    return None

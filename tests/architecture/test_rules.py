@@ -1,0 +1,86 @@
+"""Rules of the design that no linter knows."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("simgap", "tasks", "flows")
+DOORS = {
+    "mlflow": {"tasks/tracking.py"},
+    "matplotlib": {"tasks/plots.py"},
+    "yaml": {"tasks/params.py", "flows/provenance.py", "flows/reproduce.py"},
+}
+
+
+def imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+def modules() -> dict[str, Path]:
+    return {str(p.relative_to(ROOT)): p for package in PACKAGES for p in sorted((ROOT / package).rglob("*.py"))}
+
+
+@pytest.mark.parametrize("tool", DOORS)
+def test_one_door_per_tool(tool: str) -> None:
+    assert {name for name, path in modules().items() if tool in imports(path)} == DOORS[tool]
+
+
+def test_only_flows_read_clock_directory_and_environment() -> None:
+    for name, path in modules().items():
+        if name.startswith("flows/"):
+            continue
+        used = imports(path) & {"time", "datetime", "dotenv"}
+        assert not used, f"{name} imports {used}"
+        assert not re.search(r"os\.environ|os\.getcwd|Path\.cwd", path.read_text()), name
+
+
+def stage_names(path: Path) -> list[str]:
+    return list(yaml.safe_load(path.read_text())["stages"])
+
+
+def test_a_stage_has_one_name_everywhere() -> None:
+    stages = stage_names(ROOT / "dvc.yaml")
+    assert list(yaml.safe_load((ROOT / "params.yaml").read_text())) == stages
+    for stage in stages:
+        assert (ROOT / "flows" / f"{stage}.py").exists()
+        assert (ROOT / "tasks" / f"{stage}.py").exists()
+
+
+def test_both_pipelines_are_the_same_but_for_the_source() -> None:
+    """spot/dvc.yaml is dvc.yaml with another source, run from the project's root."""
+    ours, spots = (yaml.safe_load((ROOT / p).read_text()) for p in ("dvc.yaml", "spot/dvc.yaml"))
+    assert (ours.pop("vars"), spots.pop("vars")) == ([{"source": "virtual"}], [{"source": "spot"}])
+    for stage in spots["stages"].values():
+        assert stage.pop("wdir") == ".."
+    for pipeline, own_dep, own_param in ((ours, "simgap/robots", "recordings.virtual"),
+                                         (spots, "data/external/spot", "recordings.spot")):  # fmt: skip
+        pipeline["stages"]["recordings"]["deps"].remove(own_dep)
+        pipeline["stages"]["recordings"]["params"].remove(own_param)
+    assert ours == spots
+
+
+def test_a_stage_depends_on_the_code_it_runs() -> None:
+    """Every module of simgap and tasks that train imports for its numbers is a dependency of the DVC stage."""
+    deps = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]["train"]["deps"]
+    from tasks.fingerprint import modules_of_training
+
+    for path in modules_of_training():
+        relative = str(path.relative_to(ROOT))
+        assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
+
+
+def test_nothing_committed_names_a_registry_or_a_machine() -> None:
+    hosts = re.compile(r"(pypi\.org|pythonhosted\.org|npmjs|/opt/pypi|/work/|/root/)")
+    for name in ("requirements.lock", "pyproject.toml", "Makefile", "README.md", ".ci/run", "dvc.yaml", "params.yaml"):
+        found = hosts.search((ROOT / name).read_text())
+        assert found is None, f"{name} names {found}"
