@@ -12,6 +12,8 @@ _DEFAULTS = {
     # Without a running server, a flow starts one of its own; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_LOGGING_LEVEL": "WARNING",
+    # DVC says what is stale; Prefect caches nothing.
+    "PREFECT_TASKS_DEFAULT_NO_CACHE": "true",
     # No telemetry.
     "DO_NOT_TRACK": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",

@@ -9,7 +9,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from flows import provenance
 from flows.start import main
 from simgap.types import SimgapError
-from tasks import progress, tracking, train
+from tasks import fingerprint, progress, tracking, train
 from tasks.params import Params
 from tasks.workspace import Cell, Workspace
 
@@ -22,7 +22,7 @@ def run(source: str, params: Params, root: Path) -> None:
     tags, store = provenance.tags(workspace), provenance.store()
     with tracking.grid_run(store, f"grid-{source}", params.train.model_dump(), tags) as parent:
         progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
-        failed = _fan_out(workspace, cells, params, train.Grid(parent, tags))
+        failed = _fan_out(workspace, cells, params, train.Grid(parent, tags, fingerprint.code_digest()))
         if failed:
             raise SimgapError(
                 f"{len(failed)} of {len(cells)} cells failed; the others are kept:\n"

@@ -21,9 +21,9 @@ from simgap.types import ConfigError, DivergenceError, Prior, Report
 class Config:
     """Hyperparameters of the inference, in the paper's words [Hoffman et al. 2025, Table 1, General BNN].
 
-    The last four are not the paper's: how many measurement sets are prepared and used in turn, how often the
-    validation NLL is computed [steps], and the steps without a better one after which training ends early (never
-    before as many steps without a better one as led to the best).
+    The last four are not the paper's: the share of the N that is kept for validation, how many measurement sets are
+    prepared and used in turn, how often the validation NLL is computed [steps], and the steps without a better one
+    after which training ends early (never before as many steps without a better one as led to the best).
     """
 
     particles: int
@@ -35,6 +35,7 @@ class Config:
     hidden_layer_sizes: tuple[int, ...]
     likelihood_exponent: float
     bandwidth_svgd: float
+    validation_share: float
     measurement_sets: int
     evaluate_every: int
     patience: int
@@ -44,6 +45,8 @@ class Config:
                      "measurement_sets", "evaluate_every", "patience"):  # fmt: skip
             if getattr(self, name) <= 0:
                 raise ConfigError(f"{name} is {getattr(self, name)}; it must be above 0.")
+        if not 0 < self.validation_share < 1:
+            raise ConfigError(f"validation_share is {self.validation_share}; it must lie between 0 and 1.")
 
     def training_steps(self, sample_size: int) -> int:
         """100 epochs are 100 N steps, at most `max_training_steps`: the only reading under which the cap binds."""

@@ -5,6 +5,7 @@ All inputs and outputs are normalised.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg.lapack import get_lapack_funcs
 
-from simgap.types import DivergenceError, Prior
+from simgap.types import ConfigError, DivergenceError, Prior
 
 JITTER = 1e-4
 """Added to covariances' diagonals, in units of the outputs' variance, so that they can be inverted."""
@@ -21,20 +22,48 @@ Marginals = Callable[[Float[Array, "k x"]], tuple[Float[Array, "k y"], Float[Arr
 """Mean and covariance of a process at k points; where o = 1, one covariance serves all outputs."""
 
 
+@dataclass(frozen=True)
+class Config:
+    """A functional prior [Hoffman et al. 2025, Table 1].
+
+    lengthscale l, on normalised inputs, and outputscale nu, on normalised outputs, of the Gaussian process (for
+    Sim-FSVGD the sim-to-real process); measurement points of a set besides the batch.
+    """
+
+    lengthscale: float
+    outputscale: float
+    measurement_points: int
+
+    def __post_init__(self) -> None:
+        for name in ("lengthscale", "outputscale", "measurement_points"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must be above 0.")
+
+
+@dataclass(frozen=True)
+class SimulatorConfig(Config):
+    """With the number of simulators drawn for the prior's moments."""
+
+    function_samples: int
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.function_samples < 2:
+            raise ConfigError(f"function_samples is {self.function_samples}; a covariance needs at least 2.")
+
+
 def gram(x: Float[Array, "k x"], lengthscale: float, outputscale: float) -> Float[Array, "k k"]:
     """K_ij = nu^2 exp(-||x_i - x_j||^2 / (2 l^2)) [Hoffman et al. 2025, Sim-FSVGD]."""
     squared = jnp.sum((x[:, None] - x[None]) ** 2, axis=-1)
     return outputscale**2 * jnp.exp(-squared / (2 * lengthscale**2))
 
 
-def gp_marginals(outputs: int, lengthscale: float, outputscale: float) -> Marginals:
+def gp_marginals(outputs: int, config: Config) -> Marginals:
     """FSVGD's prior: a zero-mean Gaussian process per output, in closed form."""
-    return lambda x: (jnp.zeros((x.shape[0], outputs)), gram(x, lengthscale, outputscale)[None])
+    return lambda x: (jnp.zeros((x.shape[0], outputs)), gram(x, config.lengthscale, config.outputscale)[None])
 
 
-def simulator_marginals(
-    functions: Callable[[Float[Array, "k x"]], Float[Array, "P k y"]], lengthscale: float, outputscale: float
-) -> Marginals:
+def simulator_marginals(functions: Callable[[Float[Array, "k x"]], Float[Array, "P k y"]], config: Config) -> Marginals:
     """Sim-FSVGD's prior: domain-model process plus sim-to-real Gaussian process [Hoffman et al. 2025, Sim-FSVGD].
 
     `functions` are P simulators, phi ~ p(phi), at the points x. Their mean and covariance are estimated; the
@@ -46,7 +75,7 @@ def simulator_marginals(
         mean = h.mean(0)
         centred = h - mean
         covariance = jnp.einsum("pki,pli->ikl", centred, centred) / (h.shape[0] - 1)
-        return mean, covariance + gram(x, lengthscale, outputscale)
+        return mean, covariance + gram(x, config.lengthscale, config.outputscale)
 
     return marginals
 

@@ -3,7 +3,6 @@
 import ast
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,17 @@ import simgap
 from tasks.params import TrainParams
 from tasks.workspace import Cell
 
-_ROOTS = ("simgap.domain", "simgap.fsvgd", "simgap.identify", "simgap.simulators.spot")
+_ROOTS = ("simgap.learn",)
 
 
-def fingerprint(cell: Cell, data_digest: str, time_step: float, params: TrainParams) -> str:
-    """Identifies what a cell's result depends on: the data, its share of the parameters, and the code of `simgap`.
-
-    Code counts without comments and docstrings, so that rewording one does not make finished cells stale.
-    """
+def fingerprint(cell: Cell, data_digest: str, time_step: float, params: TrainParams, code: str) -> str:
+    """Identifies what a cell's result depends on: the data, its share of the parameters, and the code."""
     relevant = {
         "cell": cell,
         "data": data_digest,
         "time_step": time_step,
         "params": relevant_params(cell, params),
-        "code": _code_digest(modules_of_training()),
+        "code": code,
     }
     return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -35,7 +31,7 @@ def relevant_params(cell: Cell, params: TrainParams) -> dict[str, Any]:
     if cell.model == "sim_model":
         return asdict(params.sim_model)
     prior = params.fsvgd if cell.model == "fsvgd" else params.sim_fsvgd
-    return {**asdict(params.bnn), "prior": prior.model_dump(), "validation_share": params.validation_share}
+    return {**asdict(params.bnn), "prior": asdict(prior)}
 
 
 def modules_of_training() -> list[Path]:
@@ -50,14 +46,18 @@ def modules_of_training() -> list[Path]:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 queue += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    # Types and errors say what things are; no number depends on them.
-    return sorted(path for path in found if path.name != "types.py")
+    package = Path(simgap.__file__).parent
+    # What things are called, not what they compute.
+    return sorted(found.keys() - {package / "__init__.py", package / "types.py"})
 
 
-def _code_digest(paths: Sequence[Path]) -> str:
-    """Digest of modules as the interpreter sees them, comments and docstrings apart."""
+def code_digest() -> str:
+    """Digest of the modules of training as the interpreter sees them, comments and docstrings apart.
+
+    Call it before tasks fan out: the parser of Python 3.11 does not bear several threads.
+    """
     trees = []
-    for path in paths:
+    for path in modules_of_training():
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):

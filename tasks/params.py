@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from simgap import fsvgd, identify
+from simgap import fsvgd, identify, priors
 from simgap.types import ConfigError
 
 ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd"]
@@ -56,31 +56,16 @@ class TransitionsParams(_Block):
     nominal_rate_hz: Positive = Field(description="Rows per second where time stamps are absent.")
 
 
-class PriorParams(_Block):
-    """FSVGD's functional prior [Hoffman et al. 2025, Table 1]."""
-
-    lengthscale: Positive = Field(description="Of the Gaussian process, on normalised inputs.")
-    outputscale: Positive = Field(description="nu, its standard deviation on normalised outputs.")
-    measurement_points: Count = Field(description="Points of a measurement set besides the batch.")
-
-
-class SimPriorParams(PriorParams):
-    """Sim-FSVGD's; lengthscale and outputscale are the sim-to-real process's."""
-
-    function_samples: Annotated[int, Field(ge=2)] = Field(description="Simulators drawn for the prior's moments.")
-
-
 class TrainParams(_Block):
     models: list[ModelName] = Field(min_length=1)
     noises: list[NoiseName] = Field(min_length=1, description="Families of the learned likelihood.")
     sample_sizes: list[Annotated[int, Field(ge=20)]] = Field(min_length=1, description="N, transitions to learn from.")
     seeds: list[Annotated[int, Field(ge=0)]] = Field(min_length=1)
-    validation_share: float = Field(gt=0, lt=0.5, description="Share of the N kept for early stopping.")
     workers: Count = Field(description="Cells trained side by side.")
     bnn: Annotated[fsvgd.Config, BeforeValidator(_known_keys(fsvgd.Config))]
     sim_model: Annotated[identify.Config, BeforeValidator(_known_keys(identify.Config))]
-    fsvgd: PriorParams
-    sim_fsvgd: SimPriorParams
+    fsvgd: Annotated[priors.Config, BeforeValidator(_known_keys(priors.Config))]
+    sim_fsvgd: Annotated[priors.SimulatorConfig, BeforeValidator(_known_keys(priors.SimulatorConfig))]
 
 
 class ScoreParams(_Block):

@@ -8,12 +8,11 @@ import jax
 import jax.numpy as jnp
 from prefect import task
 
-from simgap import fsvgd, identify, priors
-from simgap.domain import uniform_inputs
-from simgap.models import FittedSpot, Model
+from simgap import learn
+from simgap.models import Model
 from simgap.noise import FAMILIES
-from simgap.recordings import HISTORY, draw, normalisation
-from simgap.simulators import normalised_functions, sample_parameters
+from simgap.recordings import HISTORY, draw
+from simgap.simulators import sample_parameters
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Report, Schema, SimgapError, Transitions
 from tasks import files, tracking, transitions
@@ -43,30 +42,20 @@ def fit(cell: Cell, data: Transitions, time_step: float, params: TrainParams, re
             f"N = {cell.sample_size} transitions are asked for and the training sessions have {len(data.x)}. "
             "Lower train.sample_sizes, or add sessions."
         )
-    key_draw, key_train, key_phi = jax.random.split(jax.random.key(cell.seed), 3)
+    key_draw, key, key_phi = jax.random.split(jax.random.key(cell.seed), 3)
     rows = draw(key_draw, cell.sample_size, len(data.x))
-    x, y = jnp.asarray(data.x)[rows], jnp.asarray(data.y)[rows]
+    drawn = (jnp.asarray(data.x)[rows], jnp.asarray(data.y)[rows])
     noise, spot = FAMILIES[cell.noise], Spot(time_step=time_step)
-    if cell.model == "sim_model":
-        fitted, scale, dof = identify.identify(spot, (x, y), params.sim_model, noise, report)
-        return FittedSpot(fitted, scale, dof, jnp.asarray(time_step))
-
-    n_validation = max(1, round(params.validation_share * cell.sample_size))
-    validation, training = (x[:n_validation], y[:n_validation]), (x[n_validation:], y[n_validation:])
-    stats = normalisation(*training)
-
-    if cell.model == "fsvgd":
-        prior = params.fsvgd
-        marginals = priors.gp_marginals(y.shape[1], prior.lengthscale, prior.outputscale)
-    else:
-        prior = params.sim_fsvgd
-        functions = normalised_functions(spot, sample_parameters(spot, key_phi, prior.function_samples), stats)
-        marginals = priors.simulator_marginals(functions, prior.lengthscale, prior.outputscale)
-    points_per_epoch = params.bnn.measurement_sets * prior.measurement_points
-    key_points, key_train = jax.random.split(key_train)
-    points = uniform_inputs(key_points, points_per_epoch, training[0], spot)
-    sets = points.reshape(params.bnn.measurement_sets, prior.measurement_points, -1)
-    return fsvgd.train(key_train, (training, validation), stats, sets, marginals, params.bnn, noise, report)
+    match cell.model:
+        case "sim_model":
+            return learn.sim_model(drawn, spot, params.sim_model, noise, report)
+        case "fsvgd":
+            return learn.fsvgd_model(key, drawn, spot, params.fsvgd, params.bnn, noise, report)
+        case "sim_fsvgd":
+            phi = sample_parameters(spot, key_phi, params.sim_fsvgd.function_samples)
+            return learn.sim_fsvgd_model(key, drawn, spot, phi, params.sim_fsvgd, params.bnn, noise, report)
+        case unknown:
+            raise ConfigError(f"there is no model {unknown}; there are sim_model, fsvgd and sim_fsvgd.")
 
 
 def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
@@ -78,10 +67,11 @@ def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
 
 
 class Grid(NamedTuple):
-    """The run of a whole grid in MLflow, and the tags that its cells share with it."""
+    """What the cells share: the run of the whole grid in MLflow, its tags, the digest of the code."""
 
     run: tracking.Run
     tags: dict[str, str]
+    code: str
 
 
 Job = Callable[[str, int], AbstractContextManager[Report]]
@@ -109,7 +99,7 @@ def train_cell(
     `job(name, steps)` gives a context with the `report` of progress; `clock` gives seconds.
     """
     digest = transitions.digest(workspace)
-    mark = fingerprint(cell, digest, 1 / params.transitions.nominal_rate_hz, params.train)
+    mark = fingerprint(cell, digest, 1 / params.transitions.nominal_rate_hz, params.train, grid.code)
     with job(cell.name, steps_at_most(cell, params.train)) as report:
         reused = finished(workspace, cell, mark)
         if not reused:

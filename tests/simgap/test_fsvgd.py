@@ -22,7 +22,7 @@ KNOWN = NoiseFamily(
 NEUTRAL = Normalisation(jnp.zeros(1), jnp.ones(1), jnp.zeros(1), jnp.ones(1))
 CONFIG = fsvgd.Config(
     particles=20, batch_size=8, epochs=10_000, max_training_steps=4000, learning_rate=3e-3, weight_decay=0.0,
-    hidden_layer_sizes=(32, 32), likelihood_exponent=1.0, bandwidth_svgd=0.5, measurement_sets=256,
+    hidden_layer_sizes=(32, 32), likelihood_exponent=1.0, bandwidth_svgd=0.5, validation_share=0.1, measurement_sets=256,
     evaluate_every=1000, patience=4000,
 )  # fmt: skip
 
@@ -58,7 +58,7 @@ def test_particles_follow_the_gaussian_process_posterior() -> None:
     """Mean within half a posterior std (0.15 near data), and uncertainty that grows where no data are."""
     x = jnp.array([-1.5, -1.2, -0.9, -0.5, 0.4, 0.7, 1.0, 1.4])
     y = jnp.sin(2 * x)
-    marginals = priors.gp_marginals(1, lengthscale=0.6, outputscale=1.0)
+    marginals = priors.gp_marginals(1, priors.Config(0.6, 1.0, 16))
     model = fit(x, y, marginals, -2.5, 2.5)
 
     at = jnp.linspace(-1.5, 1.4, 30)
@@ -76,7 +76,7 @@ def test_sim_fsvgd_follows_prior_far_from_data_and_data_near_them() -> None:
     """Simulators y = phi x, phi in [0.8, 1.2]; the robot is y = x + 0.5 where it was seen."""
     x = jnp.linspace(-1.0, 0.0, 8)
     phi = jax.random.uniform(jax.random.key(5), (256, 1, 1), minval=0.8, maxval=1.2)
-    marginals = priors.simulator_marginals(lambda x: phi * x[None], lengthscale=0.4, outputscale=0.2)
+    marginals = priors.simulator_marginals(lambda x: phi * x[None], priors.Config(0.4, 0.2, 16))
     model = fit(x, x + 0.5, marginals, -1.0, 3.0)
     np.testing.assert_allclose(predictions(model, x).mean(0), x + 0.5, atol=0.15)
     far = jnp.array([2.0, 2.5, 3.0])
@@ -85,7 +85,7 @@ def test_sim_fsvgd_follows_prior_far_from_data_and_data_near_them() -> None:
 
 def test_training_is_deterministic_given_its_key() -> None:
     x = jnp.linspace(-1, 1, 8)
-    config_args = (priors.gp_marginals(1, 0.5, 1.0), -1.0, 1.0)
+    config_args = (priors.gp_marginals(1, priors.Config(0.5, 1.0, 16)), -1.0, 1.0)
     a, b = fit(x, x, *config_args), fit(x, x, *config_args)
     for left, right in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         np.testing.assert_array_equal(left, right)
@@ -94,13 +94,17 @@ def test_training_is_deterministic_given_its_key() -> None:
 def test_divergence_is_reported() -> None:
     x = jnp.array([0.0, 1.0, jnp.nan, 2.0, 1.0, 1.0, 1.0, 1.0])
     with pytest.raises(DivergenceError, match="diverged"):
-        fit(jnp.linspace(-1, 1, 8), x, priors.gp_marginals(1, 0.5, 1.0), -1.0, 1.0)
+        fit(jnp.linspace(-1, 1, 8), x, priors.gp_marginals(1, priors.Config(0.5, 1.0, 16)), -1.0, 1.0)
 
 
 def test_measurement_sets_cover_the_data_evenly() -> None:
     points = jnp.zeros((10, 3, 1))
     sets = fsvgd.measurement_sets(
-        jax.random.key(0), jnp.arange(20.0)[:, None], points, priors.gp_marginals(1, 1.0, 1.0), batch_size=4
+        jax.random.key(0),
+        jnp.arange(20.0)[:, None],
+        points,
+        priors.gp_marginals(1, priors.Config(1.0, 1.0, 3)),
+        batch_size=4,
     )
     assert sets.batch.shape == (10, 4)
     assert np.unique(np.asarray(sets.batch), return_counts=True)[1].tolist() == [2] * 20
@@ -108,11 +112,11 @@ def test_measurement_sets_cover_the_data_evenly() -> None:
 
 
 def test_steps_are_epochs_times_n_up_to_the_cap() -> None:
-    config = fsvgd.Config(5, 64, 100, 200_000, 1e-3, 1e-3, (64,), 1.0, 5.0, 1, 1, 1)
+    config = fsvgd.Config(5, 64, 100, 200_000, 1e-3, 1e-3, (64,), 1.0, 5.0, 0.1, 1, 1, 1)
     assert config.training_steps(1000) == 100_000
     assert config.training_steps(5000) == 200_000
 
 
 def test_impossible_hyperparameters_are_named() -> None:
     with pytest.raises(ConfigError, match="particles is 0"):
-        fsvgd.Config(0, 64, 100, 200_000, 1e-3, 1e-3, (64,), 1.0, 5.0, 1, 1, 1)
+        fsvgd.Config(0, 64, 100, 200_000, 1e-3, 1e-3, (64,), 1.0, 5.0, 0.1, 1, 1, 1)

@@ -24,7 +24,11 @@ def test_score_is_the_gradient_of_the_log_density(kind: str) -> None:
     x = jax.random.normal(KEY, (6, 2))
     h = jax.random.normal(jax.random.key(1), (3, 6, 4))
     functions = lambda x: jnp.sin(jax.random.normal(KEY, (50, 1, 4)) * x[None, :, :1] + x[None, :, 1:])  # noqa: E731
-    marginals = priors.gp_marginals(4, 1.0, 0.8) if kind == "gp" else priors.simulator_marginals(functions, 1.0, 0.3)
+    marginals = (
+        priors.gp_marginals(4, priors.Config(1.0, 0.8, 6))
+        if kind == "gp"
+        else priors.simulator_marginals(functions, priors.Config(1.0, 0.3, 6))
+    )
     prepared = jax.tree.map(lambda a: a[0], priors.prepare(x[None], marginals))
     mean, covariance = marginals(x)
     covariance = jnp.broadcast_to(covariance, (4, 6, 6)) + priors.JITTER * jnp.eye(6)
@@ -39,15 +43,15 @@ def test_simulator_moments_are_those_of_its_functions() -> None:
     """h = phi x with phi of mean 2 and variance 0.25: mean 2 x, covariance 0.25 x x' plus the gap's."""
     phi = 2 + 0.5 * jax.random.normal(KEY, (20_000, 1, 1))
     x = jnp.array([[-1.0], [0.5], [3.0]])
-    mean, covariance = priors.simulator_marginals(lambda x: phi * x[None], lengthscale=1.0, outputscale=0.2)(x)
+    mean, covariance = priors.simulator_marginals(lambda x: phi * x[None], priors.Config(1.0, 0.2, 3))(x)
     np.testing.assert_allclose(mean, 2 * x, atol=0.05)
     np.testing.assert_allclose(covariance[0], 0.25 * x @ x.T + priors.gram(x, 1.0, 0.2), rtol=0.05, atol=0.02)
 
 
 def test_prepare_does_the_same_for_every_set() -> None:
     sets = jax.random.normal(KEY, (5, 4, 2))
-    together = priors.prepare(sets, priors.gp_marginals(3, 1.0, 1.0), at_once=2)
-    alone = priors.prepare(sets[3:4], priors.gp_marginals(3, 1.0, 1.0))
+    together = priors.prepare(sets, priors.gp_marginals(3, priors.Config(1.0, 1.0, 4)), at_once=2)
+    alone = priors.prepare(sets[3:4], priors.gp_marginals(3, priors.Config(1.0, 1.0, 4)))
     np.testing.assert_allclose(together.precision[3], alone.precision[0], rtol=1e-5)
 
 
@@ -58,7 +62,7 @@ def test_a_covariance_that_is_none_is_named() -> None:
 
 
 def test_prior_is_a_pytree_of_sets() -> None:
-    prepared = priors.prepare(jax.random.normal(KEY, (7, 4, 2)), priors.gp_marginals(3, 1.0, 1.0))
+    prepared = priors.prepare(jax.random.normal(KEY, (7, 4, 2)), priors.gp_marginals(3, priors.Config(1.0, 1.0, 4)))
     assert isinstance(prepared, Prior)
     assert prepared.mean.shape == (7, 4, 3)
     assert prepared.precision.shape == (7, 1, 4, 4)

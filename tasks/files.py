@@ -1,0 +1,499 @@
+"""The one door to data files: recordings in, every stage's results out and back in.
+
+What is written is whole or not there at all, and equal content makes equal bytes, so that caches and digests hold.
+"""
+
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+import pickle
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Float
+
+from simgap.models import BNN, FittedSpot, Model
+from simgap.recordings import Normalisation, check_recording
+from simgap.types import Recording, RecordingError, Schema, SimgapError
+
+SUFFIXES = (".csv", ".parquet", ".pickle")
+"""What a session's file may end in, in upper or lower case."""
+PICKLE_LIMIT = 64 * 2**20
+"""Greatest size of a pickle that is opened [bytes]; the published ones stay below 0.2 MB."""
+
+_Columns = dict[str, Float[np.ndarray, " T"]]
+_TEXT_SHOWN = 40  # characters of a file's own text in a message
+
+
+# Recordings
+
+
+def read_recordings(
+    folder: Path, schema: Schema, time_step: float, patterns: Sequence[str] = ("**/*",)
+) -> tuple[list[Recording], list[RecordingError]]:
+    """Every session under `folder` that matches a glob pattern, by relative path, and why others cannot be used.
+
+    A session is a CSV, Parquet or pickle file; its name is its path in the folder without the suffix. `time_step` [s]
+    lies between the rows of pickles, which have no time stamps. An error names file, column, row and remedy; it leaves
+    the other sessions alone. Raises RecordingError when the folder has no usable session at all.
+    """
+    recordings: list[Recording] = []
+    errors: list[RecordingError] = []
+    seen: dict[str, Path] = {}
+    paths = _session_files(folder, patterns)
+    for path in paths:
+        name = path.relative_to(folder).with_suffix("").as_posix()
+        try:
+            if name in seen:
+                raise RecordingError(
+                    f"{path}: the session {name} is in {seen[name]} already; a session is one file. "
+                    "Remove or rename one of the two."
+                )
+            seen[name] = path
+            columns = _columns(path, schema, time_step)
+            recordings.append(check_recording(schema, str(path), columns)._replace(name=name))
+        except RecordingError as error:
+            errors.append(error)
+    if not recordings:
+        reasons = "\n".join(f"  {error}" for error in errors)
+        raise RecordingError(f"{folder}: none of its {len(paths)} session files can be used:\n{reasons}")
+    return recordings, errors
+
+
+def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
+    """Write a session as Parquet in the documented format, at its name below `folder`; returns the path.
+
+    Columns are those of the schema as 64-bit floats, in the schema's units. Raises RecordingError when the name would
+    leave the folder.
+    """
+    path = folder / f"{_relative_name(recording.name)}.parquet"
+    values = np.column_stack([recording.time_s, recording.state, recording.command]).astype(np.float64)
+    table = pa.table(dict(zip(schema.columns, values.T, strict=True)))
+    with _replacing(path) as temporary:
+        # The checksum tells a damaged value from a measured one when the file is read.
+        pq.write_table(table, temporary, write_page_checksum=True)
+    return path
+
+
+def _relative_name(name: str) -> str:
+    """The session's name, which becomes a path; RecordingError when that would not lie in the folder or read back."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or not path.parts or str(path) != name or "\0" in name:
+        raise RecordingError(
+            f"The session name {name!r} must be a relative path like `day_1/walk`, without `..`: it becomes a file in "
+            "the recordings' folder. Rename the session."
+        )
+    return name
+
+
+def _session_files(folder: Path, patterns: Sequence[str]) -> list[Path]:
+    """The session files that match, by relative path."""
+    if not folder.is_dir():
+        raise RecordingError(
+            f"{folder}: there is no such folder. Give the folder of the recording set, or put the sessions there."
+        )
+    found: set[Path] = set()
+    for pattern in patterns:
+        try:
+            if ".." in PurePosixPath(pattern).parts:
+                raise ValueError("it leaves the folder")
+            found.update(p for p in folder.glob(pattern) if p.suffix.lower() in SUFFIXES and not p.is_dir())
+        except (ValueError, NotImplementedError) as error:
+            raise RecordingError(
+                f"{folder}: the pattern {pattern!r} cannot be used ({error}). Give one relative to the folder, "
+                "like `day_1/*` or `**/*`."
+            ) from None
+    if not found:
+        raise RecordingError(
+            f"{folder}: no file matches {', '.join(patterns)} and ends in {', '.join(SUFFIXES)}. "
+            "Change the patterns, or put the sessions there."
+        )
+    return sorted(found, key=lambda path: path.relative_to(folder).as_posix())
+
+
+def _columns(path: Path, schema: Schema, time_step: float) -> _Columns:
+    """The schema's columns that the file has, as numbers."""
+    try:
+        if not path.is_file():
+            raise OSError("it is no regular file, or a link to nothing")
+        if path.suffix.lower() == ".csv":
+            return _csv_columns(path, schema)
+        if path.suffix.lower() == ".parquet":
+            return _parquet_columns(path, schema)
+        return _pickle_columns(path, schema, time_step)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error}). Mend or remove the file.") from None
+
+
+def _refuse_duplicates(path: Path, header: Sequence[str], schema: Schema) -> None:
+    for name in schema.columns:
+        if header.count(name) > 1:
+            raise RecordingError(
+                f"{path}: column {name} stands {header.count(name)} times in the header; every column must be there "
+                "once. Remove or rename the others."
+            )
+
+
+# Recordings: CSV
+
+
+def _csv_columns(path: Path, schema: Schema) -> _Columns:
+    header, *rows = _csv_table(path)
+    header = [name.strip() for name in header]
+    _refuse_duplicates(path, header, schema)
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(header):
+            where = (
+                f"{header[len(row)]} is the first without" if len(row) < len(header) else f"{header[-1]} is the last"
+            )
+            raise RecordingError(
+                f"{path}: row {number} has {len(row)} values for {len(header)} columns; column {where}. "
+                "Mend the row, or cut the session there."
+            )
+    return {
+        name: _numbers(path, name, [row[i] for row in rows]) for i, name in enumerate(header) if name in schema.columns
+    }
+
+
+def _csv_table(path: Path) -> list[list[str]]:
+    """Header and rows of a CSV file as text; a byte order mark and blank lines at the end do no harm."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            table = list(csv.reader(file))
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: is no UTF-8 text ({error}). Save it as CSV in UTF-8.") from None
+    except csv.Error as error:
+        raise RecordingError(f"{path}: is no CSV ({error}). Save it with commas between the values.") from None
+    while table and not table[-1]:
+        table.pop()
+    if not table or not table[0]:
+        raise RecordingError(
+            f"{path}: is empty, or its first line is; it must begin with the columns' names. "
+            "Add the header, or leave the file out."
+        )
+    return table
+
+
+def _numbers(path: Path, column: str, texts: Sequence[str]) -> Float[np.ndarray, " T"]:
+    """Texts as numbers, a blank as NaN; RecordingError for the first that is neither."""
+    values = np.empty(len(texts))
+    for i, text in enumerate(texts):
+        try:
+            if "_" in text:  # python reads 1_000 as a number; in a table it is a slip
+                raise ValueError
+            values[i] = float(text) if text.strip() else math.nan
+        except ValueError:
+            raise RecordingError(
+                f"{path}: column {column}, row {i + 1} holds the text {text[:_TEXT_SHOWN]!r}; every value must be a "
+                "number, with a point before the decimals. Replace the text, or cut the session there."
+            ) from None
+    return values
+
+
+# Recordings: Parquet
+
+
+def _parquet_columns(path: Path, schema: Schema) -> _Columns:
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            names = file.schema_arrow.names
+            _refuse_duplicates(path, names, schema)
+            table = file.read([name for name in schema.columns if name in names])
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise RecordingError(
+            f"{path}: is no whole Parquet file ({error}). Write or copy it again, or leave it out."
+        ) from None
+    return {name: _arrow_numbers(path, name, table.column(name)) for name in table.column_names}
+
+
+def _arrow_numbers(path: Path, name: str, column: pa.ChunkedArray) -> Float[np.ndarray, " T"]:
+    """A column of numbers, nulls as NaN; RecordingError for any other type."""
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+        first = f", in row 1 {str(column[0].as_py())[:_TEXT_SHOWN]!r}" if len(column) else ""
+        raise RecordingError(
+            f"{path}: column {name} holds values of type {column.type}{first}; every value must be a number, in the "
+            "unit of the schema. Convert the column."
+        )
+    return column.to_numpy().astype(np.float64)
+
+
+# Recordings: pickles as published with [Hoffman et al. 2025]
+
+
+def _pickle_columns(path: Path, schema: Schema, time_step: float) -> _Columns:
+    """A pickled (x[T,s], u[T,u], y[T,s]): state, command, next state, one `time_step` [s] between rows.
+
+    T + 1 rows keep all T transitions: the states x and after them the last next state. The last row's command repeats
+    the one before; it is never part of a transition, because the last row has no successor.
+    """
+    size = path.stat().st_size
+    if size > PICKLE_LIMIT:
+        raise RecordingError(
+            f"{path}: the pickle has {size:,} bytes; at most {PICKLE_LIMIT:,} are opened. "
+            "Split the session, or convert it to Parquet."
+        )
+    x, u, y = _unpickle(path, schema)
+    _refuse_gap(path, schema, x, y)
+    state, command = np.concatenate([x, y[-1:]]), np.concatenate([u, u[-1:]])
+    values = np.column_stack([np.arange(len(state)) * time_step, state, command])
+    return dict(zip(schema.columns, values.T, strict=True))
+
+
+def _refuse_gap(path: Path, schema: Schema, x: Float[np.ndarray, "T s"], y: Float[np.ndarray, "T s"]) -> None:
+    gaps = np.argwhere(~np.isclose(y[:-1], x[1:], rtol=0, atol=0, equal_nan=True))
+    if len(gaps):
+        t, i = gaps[0]
+        raise RecordingError(
+            f"{path}: column {schema.state[i].name}, row {t + 1} has the next state {y[t, i]} and row {t + 2} the "
+            f"state {x[t + 1, i]}; they must be equal, the session must have no gap. Split it after row {t + 1}."
+        )
+
+
+def _unpickle(path: Path, schema: Schema) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The three arrays, in the schema's shapes; RecordingError for anything else, before any of it is run."""
+    try:
+        arrays = _ArraysOnly(path).load()
+        if not (isinstance(arrays, tuple) and all(isinstance(array, _PickledArray) for array in arrays)):
+            raise ValueError("other things than arrays")
+        x, u, y = (array.values for array in arrays)
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged pickle may raise anything
+        raise RecordingError(
+            f"{path}: is no pickle of three float32 arrays, state, command and next state "
+            f"({type(error).__name__}: {error}). Copy it again, or leave it out."
+        ) from None
+    rows, s, c = x.shape[:1], len(schema.state), len(schema.command)
+    if not (x.shape == y.shape == (*rows, s) and u.shape == (*rows, c)):
+        raise RecordingError(
+            f"{path}: the arrays have the shapes {x.shape}, {u.shape}, {y.shape}; state, command and next state must "
+            f"have (T, {s}), (T, {c}), (T, {s}). Leave the file out, or use the schema of its robot."
+        )
+    return x, u, y
+
+
+class _PickledType:
+    """Stands in for numpy's dtype: little or big endian float32, nothing else."""
+
+    def __init__(self, code: str, _align: bool, _copy: bool) -> None:
+        if code != "f4":
+            raise ValueError(f"numbers of type {code!r}")
+        self.value = np.dtype(np.float32)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.value = self.value.newbyteorder(state[1])
+
+
+class _PickledArray:
+    """Stands in for numpy's array: takes shape, type and bytes from the pickle, and builds the array itself."""
+
+    values: np.ndarray
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def __setstate__(self, state: tuple[int, tuple[int, ...], _PickledType, bool, bytes]) -> None:
+        _, shape, dtype, fortran, content = state
+        self.values = np.frombuffer(content, dtype.value).reshape(shape, order="F" if fortran else "C")
+
+
+class _PickledJaxArray(_PickledArray):
+    """Stands in for the function that rebuilds a jax array, from what makes a numpy array and that array's state."""
+
+    def __init__(self, _function: object, _arguments: object, state: Any, _jax_state: object) -> None:
+        self.__setstate__(state)
+
+
+_STAND_INS = {
+    ("jax._src.array", "_reconstruct_array"): _PickledJaxArray,
+    ("numpy.core.multiarray", "_reconstruct"): _PickledArray,
+    ("numpy", "ndarray"): _PickledArray,
+    ("numpy", "dtype"): _PickledType,
+}
+
+
+class _ArraysOnly(pickle.Unpickler):
+    """Admits the four globals that the published files refer to.
+
+    Each has a stand-in: numpy's own array and dtype believe what a pickle tells them about memory.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.BytesIO(path.read_bytes()))
+        self._path = path
+
+    def find_class(self, module: str, name: str) -> type:
+        """The stand-in of an admitted global; RecordingError that names any other."""
+        if (module, name) not in _STAND_INS:
+            raise RecordingError(
+                f"{self._path}: the pickle wants to run code, {f'{module}.{name}'!r}, and was not loaded; it may hold "
+                "three jax arrays only. Convert it to CSV or Parquet where you trust it, or leave it out."
+            )
+        return _STAND_INS[module, name]
+
+
+# Results of stages
+
+
+def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as `.npz`, uncompressed. Equal arrays make equal bytes; numpy's own would hold the time."""
+    with _replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.save(content, array, allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
+
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays that `save_arrays` wrote; SimgapError when the file is missing, damaged or of another kind."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+            raise ValueError("it holds other things than arrays")
+    except FileNotFoundError:
+        raise SimgapError(_missing(path)) from None
+    except Exception as error:  # a damaged archive may raise anything
+        raise SimgapError(
+            f"{path}: is no whole file of arrays ({error}). Delete it and run the stage that writes it."
+        ) from None
+    return arrays
+
+
+def save_model(path: Path, model: Model) -> None:
+    """Write a model as `.npz`: its `kind` and its arrays by name, the layers' as `weight_0`, `bias_0`, `weight_1`..."""
+    if isinstance(model, BNN):
+        layers = {
+            f"{part}_{i}": array
+            for i, layer in enumerate(model.particles)
+            for part, array in zip(("weight", "bias"), layer, strict=True)
+        }
+        arrays = {**layers, "scale": model.scale, "dof": model.dof, **model.normalisation._asdict()}
+    else:
+        arrays = model._asdict()
+    kind = type(model).__name__
+    save_arrays(path, {name: np.asarray(array) for name, array in {"kind": kind, **arrays}.items()})
+
+
+def load_model(path: Path) -> Model:
+    """The model that `save_model` wrote, bit for bit, its arrays numpy's; SimgapError when the file holds none."""
+    arrays = load_arrays(path)
+    kind = str(arrays.pop("kind", "none"))
+    try:
+        if kind == FittedSpot.__name__:
+            return FittedSpot(**arrays)  # type: ignore[arg-type]  # numpy's arrays serve as jax's
+        if kind == BNN.__name__:
+            return _bnn(arrays)
+    except (KeyError, TypeError) as error:
+        raise SimgapError(
+            f"{path}: a {kind} with other arrays than this version's ({error}). Train the model again."
+        ) from None
+    raise SimgapError(
+        f"{path}: holds no model; its kind is {kind[:_TEXT_SHOWN]!r} and must be {BNN.__name__} or "
+        f"{FittedSpot.__name__}. Give a file of the stage `train`."
+    )
+
+
+def _bnn(arrays: dict[str, np.ndarray]) -> BNN:
+    """Takes all of the arrays; KeyError or TypeError when one is missing or left over."""
+    layers = max(1, sum(name.startswith("weight_") for name in arrays))
+    particles = [(arrays.pop(f"weight_{i}"), arrays.pop(f"bias_{i}")) for i in range(layers)]
+    stats = Normalisation(*(arrays.pop(name) for name in Normalisation._fields))  # type: ignore[arg-type]
+    return BNN(particles, normalisation=stats, **arrays)  # type: ignore[arg-type]
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write as JSON, keys sorted; arrays as lists, and null for numbers that are not finite, which JSON has not."""
+    write_text(path, json.dumps(_plain(value), indent=1, sort_keys=True, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds; SimgapError when it is missing or damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise SimgapError(_missing(path)) from None
+    except (OSError, ValueError) as error:
+        raise SimgapError(
+            f"{path}: is no whole JSON file ({error}). Delete it and run the stage that writes it."
+        ) from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8."""
+    with _replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as CSV, floats with 6 significant digits; a key that a row has not is left blank there."""
+    header = list(dict.fromkeys(key for row in rows for key in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, header, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
+    write_text(path, text.getvalue())
+
+
+def _cell(value: Any) -> Any:
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else value
+
+
+def digest(paths: Sequence[Path]) -> str:
+    """16 hexadecimal digits that identify files by content and by path below the folder they share.
+
+    SHA-256, the same for a copy of the files elsewhere and in any order. Raises SimgapError when one is missing.
+    """
+    shared = os.path.commonpath([path.parent for path in paths])
+    total = hashlib.sha256()
+    for name, path in sorted((path.relative_to(shared).as_posix(), path) for path in paths):
+        try:
+            with path.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256")
+        except FileNotFoundError:
+            raise SimgapError(_missing(path)) from None
+        total.update(name.encode() + b"\0" + content.digest())
+    return total.hexdigest()[:16]
+
+
+def remove_folder(folder: Path) -> None:
+    """Delete a folder with all that is in it, if it is there."""
+    if folder.exists():
+        shutil.rmtree(folder)
+
+
+def _missing(path: Path) -> str:
+    return f"{path}: there is no such file. Run the stage that writes it."
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A path beside `path` to write to, which takes its place when all went well and is deleted otherwise."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{uuid4().hex}.tmp")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

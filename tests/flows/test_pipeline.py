@@ -1,0 +1,188 @@
+"""The whole pipeline at a tiny size, as a person runs it: whole, with a failing cell, killed halfway and started again."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import mlflow
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from mlflow import MlflowClient
+
+from simgap import scores
+from simgap.simulators.spot import SCHEMA
+from tasks import files, transitions
+from tasks.train import input_columns
+from tasks.workspace import Cell, Workspace
+
+ROOT = Path(__file__).parents[2]
+TINY: dict[str, Any] = {
+    "recordings": {"virtual": {"training_sessions": 2, "test_sessions": 1, "session_s": 12.0}},
+    "train": {
+        "noises": ["student_t"],
+        "sample_sizes": [40, 80],
+        "seeds": [0],
+        "bnn": {"max_training_steps": 200, "evaluate_every": 50, "measurement_sets": 8, "hidden_layer_sizes": [16]},
+        "sim_model": {"training_steps": 100, "evaluate_every": 50},
+    },
+    "score": {"horizons": [5, 10]},
+}
+MODELS, SIZES = ("sim_model", "fsvgd", "sim_fsvgd"), (40, 80)
+CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
+
+
+def start(folder: Path, overrides: dict[str, Any]) -> subprocess.Popen[str]:
+    """`make run`'s command in a folder of its own, that holds its MLflow store as well."""
+    folder.mkdir(exist_ok=True)
+    (folder / "params.yaml").write_text((ROOT / "params.yaml").read_text())
+    (folder / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+    command = [sys.executable, "-m", "flows.reproduce", "virtual", "--overrides", "overrides.yaml", "--workspace", "w"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(command, cwd=folder, env=environment, text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT)  # fmt: skip
+
+
+def children(folder: Path) -> pd.DataFrame:
+    """The cells' runs in MLflow, oldest first."""
+    client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
+    experiment = client.get_experiment_by_name("model-validation")
+    assert experiment is not None
+    runs = client.search_runs([experiment.experiment_id], order_by=["start_time ASC"])
+    rows = [
+        {"name": r.info.run_name, "id": r.info.run_id, "status": r.info.status, **r.data.tags, **r.data.metrics}
+        for r in runs
+        if "mlflow.parentRunId" in r.data.tags
+    ]
+    return pd.DataFrame(rows)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A finished run's folder and what it printed."""
+    folder = tmp_path_factory.mktemp("pipeline")
+    process = start(folder, TINY)
+    output, _ = process.communicate(timeout=600)
+    assert process.returncode == 0, output
+    return folder, output
+
+
+def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> None:
+    folder, output = finished
+    tail = output.strip().splitlines()[-3:]
+    assert [line.split()[0] for line in tail] == ["report", "figures", "MLflow"]
+    report = folder / tail[0].split()[1]
+    assert "Sim-FSVGD" in report.read_text()
+    assert (report.parent / "nll_against_n.png").stat().st_size > 10_000
+    assert "Error encountered" not in output
+    assert "Traceback" not in output
+
+
+def test_tables_and_metrics_hold_every_cell(finished: tuple[Path, str]) -> None:
+    reports = finished[0] / "w" / "reports" / "virtual"
+    table = pd.read_csv(reports / "scores.csv")
+    assert len(table) == len(CELLS)
+    assert np.isfinite(table.select_dtypes("number").to_numpy()).all()
+    metrics = json.loads((reports / "metrics.json").read_text())
+    assert set(metrics["student_t"]) == set(MODELS)
+    assert set(metrics["student_t"]["fsvgd"]) == {"N40", "N80"}
+
+
+def test_every_cell_is_a_run_with_curve_data_set_scores_and_model(finished: tuple[Path, str]) -> None:
+    folder, _ = finished
+    runs = children(folder)
+    assert sorted(runs["name"]) == sorted(cell.name for cell in CELLS)
+    assert (runs["status"] == "FINISHED").all()
+    table = pd.read_csv(folder / "w" / "reports" / "virtual" / "scores.csv")
+    client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
+    for row in table.itertuples():
+        name = Cell(row.noise, row.model, row.sample_size, row.seed).name
+        run = client.get_run(runs.set_index("name").loc[name, "id"])
+        assert run.data.metrics["nll"] == pytest.approx(row.nll, rel=1e-4)
+        assert run.data.params["sample_size"] == str(row.sample_size)
+        assert run.inputs.dataset_inputs[0].dataset.digest
+        assert {"fingerprint", "transitions", "source", "prefect_flow_run"} <= set(run.data.tags)
+        assert client.get_metric_history(run.info.run_id, "training/train_nll")
+
+
+def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str]) -> None:
+    folder, _ = finished
+    workspace = Workspace(folder / "w", "virtual")
+    test = transitions.load(workspace, "test")
+    for cell in CELLS[-3:]:
+        run_id = children(folder).set_index("name").loc[cell.name, "id"]
+        mlflow.set_tracking_uri(f"sqlite:///{folder / 'mlflow.db'}")
+        loaded = mlflow.pyfunc.load_model(f"runs:/{run_id}/model")
+        table = loaded.predict(pd.DataFrame(np.asarray(test.x[:50], np.float64), columns=list(input_columns(SCHEMA))))
+        residual = test.y[:50] - table[[f"mean_{name}" for name in SCHEMA.encoded]].to_numpy()
+        ours = scores.one_step(files.load_model(workspace.model(cell)), test._replace(x=test.x[:50], y=test.y[:50]),
+                               SCHEMA.encoded)  # fmt: skip
+        assert np.sqrt(np.mean(residual[:, 0] ** 2)) == pytest.approx(ours["rmse_base_x"], rel=1e-3)
+        assert (table[[f"std_{name}" for name in SCHEMA.encoded]].to_numpy() > 0).all()
+
+
+def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Path) -> None:
+    process = start(tmp_path, TINY)
+    models = tmp_path / "w" / "models" / "virtual"
+    deadline = time.monotonic() + 300
+    while len(list(models.glob("*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    before = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
+    assert 2 <= len(before) < len(CELLS), "the run was to be killed with some cells done and some not"
+
+    again = start(tmp_path, TINY)
+    output, _ = again.communicate(timeout=600)
+    assert again.returncode == 0, output
+    after = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
+    assert len(after) == len(CELLS)
+    assert {name: after[name] for name in before} == before
+    runs = children(tmp_path)
+    latest = runs[runs["mlflow.parentRunId"] == runs["mlflow.parentRunId"].iloc[-1]]
+    assert sorted(f"{name}.json" for name in latest.loc[latest["reused"] == "True", "name"]) == sorted(before)
+    assert set(runs["status"]) == {"FINISHED"}
+    client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    grids = [r.info.status for r in client.search_runs(["1"]) if "mlflow.parentRunId" not in r.data.tags]
+    assert sorted(grids) == ["FINISHED", "KILLED"]
+
+
+def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
+    overrides = {**TINY, "train": {**TINY["train"], "sample_sizes": [40, 100_000], "models": ["sim_model"]}}
+    process = start(tmp_path, overrides)
+    output, _ = process.communicate(timeout=600)
+    assert process.returncode == 1
+    assert "1 of 2 cells failed" in output
+    assert "N = 100000 transitions are asked for" in output
+    table = pd.read_csv(tmp_path / "w" / "reports" / "virtual" / "scores.csv")
+    assert table["sample_size"].tolist() == [40]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "overrides", "words"),
+    [
+        (["nowhere"], "{}", ["recordings.nowhere", "virtual", "spot"]),
+        (["virtual"], "train: {bnn: {particels: 5}}", ["train.bnn", "particels", "particles"]),
+        (["virtual"], "train: {seeds: [-1]}", ["train.seeds.0"]),
+        (["spot", "--recordings", "empty"], "{}", ["empty"]),
+    ],
+)
+def test_wrong_input_is_explained_without_a_traceback(
+    tmp_path: Path, arguments: list[str], overrides: str, words: list[str]
+) -> None:
+    (tmp_path / "params.yaml").write_text((ROOT / "params.yaml").read_text())
+    (tmp_path / "o.yaml").write_text(overrides)
+    done = subprocess.run(
+        [sys.executable, "-m", "flows.reproduce", *arguments, "--overrides", "o.yaml", "--workspace", "w"],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    output = done.stdout + done.stderr
+    assert done.returncode == 1
+    assert all(word in output for word in words), output
+    assert "Traceback" not in output
