@@ -9,7 +9,7 @@ from tasks import progress, report, score
 from tasks.params import Params
 from tasks.workspace import Workspace
 
-SHOWN = ("noise", "model", "sample_size", "nll", "nll_std", "nll_median", "calibration_error", "rollout_ee_50")
+SHOWN = ("noise", "model", "sample_size", "nll", "nll_std", "nll_median", "calibration_error")
 
 
 @flow(name="report", flow_run_name="report-{source}")

@@ -114,7 +114,8 @@ def multi_step(
     """Mean distance [m] between predicted and measured base and end-effector after `horizons` steps of rollout.
 
     Every `stride`-th row of the sessions that has its history before it and the longest horizon after it is a start;
-    the prediction is the mean of the particles' trajectories. Sessions too short for one start are passed over.
+    the prediction is the mean of the particles' trajectories. Sessions too short for one start are passed over; NaN
+    where none is long enough.
     """
     longest = max(horizons)
     states, commands, later = [], [], []
@@ -123,11 +124,11 @@ def multi_step(
             states.append(recording.state[t])
             commands.append(recording.command[t - HISTORY : t + longest])
             later.append(recording.state[t + 1 : t + 1 + longest])
-    if not states:
-        return {}
-    arrays = (jnp.asarray(np.stack(a), jnp.float32) for a in (states, commands, later))
-    errors = np.asarray(_rollout_errors(model, schema, *arrays, horizons=horizons))
     names = [field.name for field in schema.state]
+    errors = np.full((1, len(horizons), len(names)), np.nan)
+    if states:
+        arrays = (jnp.asarray(np.stack(a), jnp.float32) for a in (states, commands, later))
+        errors = np.asarray(_rollout_errors(model, schema, *arrays, horizons=horizons))
     scores = {}
     for body, axes in (("base", ("base_x", "base_y")), ("ee", ("ee_x", "ee_y", "ee_z"))):
         distance = np.linalg.norm(errors[..., [names.index(a) for a in axes]], axis=-1).mean(0)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -12,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 LABELS = {"sim_model": "SIM-MODEL", "fsvgd": "FSVGD", "sim_fsvgd": "Sim-FSVGD"}
+NOISES = {"gaussian": "Gaussian noise (the paper's)", "student_t": "Student's t noise"}
 _STYLE = {"sim_model": ("#7f7f7f", "s"), "fsvgd": ("#d1722d", "^"), "sim_fsvgd": ("#1f5fa8", "o")}
 _JITTER = 0.012  # of the N range, so that models' points do not hide each other
 
@@ -26,9 +28,9 @@ def against_n(
     figure, axes = plt.subplots(1, len(panels), figsize=(4.6 * len(panels), 3.8), squeeze=False, layout="constrained")
     for ax, (noise, score, label) in zip(axes[0], panels, strict=True):
         _panel(ax, [r for r in rows if r["noise"] == noise], score)
-        ax.set(xlabel="transitions N", ylabel=label, title=f"noise: {noise.replace('_', ' ')}")
+        ax.set(xlabel="transitions N", ylabel=label, title=NOISES[noise])
     axes[0][0].legend(frameon=False)
-    figure.suptitle(title)
+    figure.suptitle(title, fontweight="bold")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=dpi, metadata={"Software": None})
     plt.close(figure)
@@ -44,8 +46,8 @@ def _panel(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:
         if not groups:
             continue
         x = [n + (k - 1) * shift for n, _ in groups]
-        means = [sum(v) / len(v) for _, v in groups]
-        spread = [(sum((a - m) ** 2 for a in v) / len(v)) ** 0.5 for (_, v), m in zip(groups, means, strict=True)]
+        means = [np.mean(v) for _, v in groups]
+        spread = [np.std(v, ddof=1) if len(v) > 1 else 0.0 for _, v in groups]
         ax.errorbar(x, means, spread, color=colour, marker=marker, capsize=3, lw=1.6, ms=6, label=label)
         for position, (_, values) in zip(x, groups, strict=True):
             ax.plot([position] * len(values), values, ".", color=colour, alpha=0.45, ms=5)

@@ -1,5 +1,6 @@
 """Stage `score`: every model of the grid on the test sessions."""
 
+import math
 from typing import Any
 
 from prefect import task
@@ -35,6 +36,8 @@ def score_cell(
         **cell._asdict(),
         "seconds": record["seconds"],
         "steps": record["steps"],
+        # Kept by early stopping, within the N: what one may choose by. SIM-MODEL keeps no rows for validation.
+        "validation_nll": min(record["curve"].get("validation_nll", [math.nan])),
         **scores.one_step(model, rows, SCHEMA.encoded),
         **scores.multi_step(model, SCHEMA, recordings, tuple(params.horizons), params.stride),
     }
@@ -55,5 +58,6 @@ def write(workspace: Workspace, rows: list[dict[str, Any]]) -> None:
 
 
 def load(workspace: Workspace) -> list[dict[str, Any]]:
-    """The rows that `write` wrote."""
-    return files.read_json(workspace.scores / TABLE)["cells"]
+    """The rows that `write` wrote; a score that is not finite is NaN."""
+    rows = files.read_json(workspace.scores / TABLE)["cells"]
+    return [{name: math.nan if value is None else value for name, value in row.items()} for row in rows]

@@ -62,6 +62,8 @@ def test_both_pipelines_are_the_same_but_for_the_source() -> None:
     assert (ours.pop("vars"), spots.pop("vars")) == ([{"source": "virtual"}], [{"source": "spot"}])
     for stage in spots["stages"].values():
         assert stage.pop("wdir") == ".."
+    (ours_plot,), (spots_plot,) = ours.pop("plots"), spots.pop("plots")
+    assert str(spots_plot).replace("../reports/spot", "reports/virtual") == str(ours_plot)
     for pipeline, own_dep, own_param in ((ours, "simgap/robots", "recordings.virtual"),
                                          (spots, "data/external/spot", "recordings.spot")):  # fmt: skip
         pipeline["stages"]["recordings"]["deps"].remove(own_dep)

@@ -1,4 +1,4 @@
-"""The whole pipeline at a tiny size, as a person runs it: whole, with a failing cell, killed halfway and started again."""
+"""The pipeline at a tiny size, as a person runs it: whole, with a failing cell, killed halfway and started again."""
 
 import json
 import os

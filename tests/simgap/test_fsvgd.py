@@ -22,8 +22,8 @@ KNOWN = NoiseFamily(
 NEUTRAL = Normalisation(jnp.zeros(1), jnp.ones(1), jnp.zeros(1), jnp.ones(1))
 CONFIG = fsvgd.Config(
     particles=20, batch_size=8, epochs=10_000, max_training_steps=4000, learning_rate=3e-3, weight_decay=0.0,
-    hidden_layer_sizes=(32, 32), likelihood_exponent=1.0, bandwidth_svgd=0.5, validation_share=0.1, measurement_sets=256,
-    evaluate_every=1000, patience=4000,
+    hidden_layer_sizes=(32, 32), likelihood_exponent=1.0, bandwidth_svgd=0.5, validation_share=0.1,
+    measurement_sets=256, evaluate_every=1000, patience=4000,
 )  # fmt: skip
 
 

@@ -69,6 +69,6 @@ def test_measurement_points_lie_in_the_box_of_the_body_frame() -> None:
         (lambda: identify.Config(0, 1e-3, 0.0, 1), "training_steps"),
     ],
 )
-def test_impossible_configurations_are_named(make, name) -> None:  # noqa: ANN001
+def test_impossible_configurations_are_named(make, name) -> None:
     with pytest.raises(ConfigError, match=name):
         make()

@@ -65,4 +65,6 @@ def test_a_wrong_model_errs_more_the_longer_it_runs() -> None:
 def test_sessions_too_short_for_a_rollout_are_passed_over() -> None:
     model, recording = perfect()
     short = Recording("short", recording.time_s[:20], recording.state[:20], recording.command[:20])
-    assert scores.multi_step(model, SCHEMA, [short], (10, 50), stride=5) == {}
+    assert np.isnan(list(scores.multi_step(model, SCHEMA, [short], (10, 50), stride=5).values())).all()
+    both = scores.multi_step(model, SCHEMA, [short, recording], (10, 50), stride=5)
+    assert both == scores.multi_step(model, SCHEMA, [recording], (10, 50), stride=5)

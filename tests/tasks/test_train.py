@@ -1,0 +1,63 @@
+"""What identifies a cell, and what does not."""
+
+from pathlib import Path
+
+from simgap.simulators.spot import SCHEMA
+from tasks import train
+from tasks.fingerprint import code_digest, fingerprint, modules_of_training
+from tasks.params import load_params
+from tasks.workspace import Cell, Workspace
+
+PARAMS = load_params(Path(__file__).parents[2] / "params.yaml").train
+CELL = Cell("gaussian", "fsvgd", 1000, 0)
+
+
+def mark(cell: Cell = CELL, data: str = "d", **changes) -> str:
+    bnn = {k: v for k, v in changes.items() if k != "code"}
+    params = PARAMS.model_copy(update={"bnn": type(PARAMS.bnn)(**{**vars(PARAMS.bnn), **bnn})})
+    return fingerprint(cell, data, 1 / 15, params, changes.get("code", "c"))
+
+
+def test_fingerprint_changes_with_what_the_result_depends_on() -> None:
+    assert mark() == mark()
+    changed = [mark(cell=CELL._replace(seed=1)), mark(data="e"), mark(learning_rate=2e-3), mark(code="x")]
+    assert len({mark(), *changed}) == 5
+
+
+def test_sim_models_fingerprint_ignores_the_networks() -> None:
+    sim = CELL._replace(model="sim_model")
+    assert mark(cell=sim) == mark(cell=sim, learning_rate=2e-3)
+
+
+def test_code_of_training_is_what_learning_imports() -> None:
+    names = {path.stem for path in modules_of_training()}
+    assert {"learn", "fsvgd", "identify", "priors", "networks", "noise", "recordings", "spot", "domain"} <= names
+    assert not names & {"scores", "virtual_spot", "operator", "types"}
+    assert code_digest() == code_digest()
+
+
+def test_the_grid_has_every_cell_once_longest_first() -> None:
+    cells = train.grid(PARAMS)
+    assert len(cells) == len(set(cells)) == 90
+    assert [cell.sample_size for cell in cells] == sorted((c.sample_size for c in cells), reverse=True)
+
+
+def test_inputs_have_31_distinct_names() -> None:
+    names = train.input_columns(SCHEMA)
+    assert len(names) == len(set(names)) == 31
+    assert names[:4] == ("base_x", "base_y", "sin_base_yaw", "cos_base_yaw")
+    assert names[13] == "cmd_base_vx_2"
+    assert names[-1] == "cmd_ee_vz"
+
+
+def test_cells_that_left_the_grid_leave_the_folder(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path, "virtual")
+    old = CELL._replace(sample_size=10)
+    for cell in (CELL, old):
+        workspace.model(cell).parent.mkdir(parents=True, exist_ok=True)
+        workspace.model(cell).touch()
+        workspace.record(cell).touch()
+    train.remove_stale(workspace, [CELL])
+    assert workspace.model(CELL).exists()
+    assert not workspace.model(old).exists()
+    assert not workspace.record(old).exists()
