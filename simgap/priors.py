@@ -103,14 +103,15 @@ def prepare(measurement_sets: Float[Array, "M k x"], marginals: Marginals, at_on
     Raises DivergenceError where a covariance cannot be inverted.
     """
     compute = jax.jit(lambda sets: jax.lax.map(marginals, sets))
-    means, precisions = [], []
+    shapes = jax.eval_shape(compute, measurement_sets)
+    mean, precision = (np.empty(shape.shape, np.float32) for shape in shapes)
     for start in range(0, len(measurement_sets), at_once):
-        mean, covariance = compute(measurement_sets[start : start + at_once])
-        covariance = np.asarray(covariance, np.float64) + JITTER * np.eye(covariance.shape[-1])
-        inverse = [_invert(c) for c in covariance.reshape(-1, *covariance.shape[-2:])]
-        means.append(mean)
-        precisions.append(np.asarray(inverse, np.float32).reshape(covariance.shape))
-    return Prior(jnp.concatenate(means), jnp.asarray(np.concatenate(precisions)))
+        some = slice(start, start + at_once)
+        mean[some], covariances = compute(measurement_sets[some])
+        for i, outputs in enumerate(np.asarray(covariances, np.float64), start):
+            for j, covariance in enumerate(outputs):
+                precision[i, j] = _invert(covariance + JITTER * np.eye(len(covariance)))
+    return Prior(jnp.asarray(mean), jnp.asarray(precision))
 
 
 def score(prior: Prior, h: Float[Array, "L k y"]) -> Float[Array, "L k y"]:
