@@ -83,7 +83,7 @@ def write(workspace: Workspace, rows: list[Row], noises: Sequence[str], dpi: int
     """Tables, metrics, figures and the written report; returns the summary table."""
     folder = workspace.reports
     summary = summarise(rows)
-    files.write_table(folder / "scores.csv", rows)
+    files.write_table(folder / "scores.csv", [{**{name: row[name] for name in IDENTITY}, **row} for row in rows])
     files.write_table(folder / "summary.csv", summary)
     files.write_table(folder / "nll.csv", _wide(summary, "nll"))
     files.write_json(folder / "metrics.json", _metrics(summary))
