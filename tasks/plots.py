@@ -46,8 +46,8 @@ def _panel(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:
         if not groups:
             continue
         x = [n + (k - 1) * shift for n, _ in groups]
-        means = [np.mean(v) for _, v in groups]
-        spread = [np.std(v, ddof=1) if len(v) > 1 else 0.0 for _, v in groups]
+        means = [float(np.mean(v)) for _, v in groups]
+        spread = [float(np.std(v, ddof=1)) if len(v) > 1 else 0.0 for _, v in groups]
         ax.errorbar(x, means, spread, color=colour, marker=marker, capsize=3, lw=1.6, ms=6, label=label)
         for position, (_, values) in zip(x, groups, strict=True):
             ax.plot([position] * len(values), values, ".", color=colour, alpha=0.45, ms=5)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from simgap.types import Report
+from simgap.types import Report, SimgapError
 
 _EVERY_S = 15.0
 console = Console()
@@ -83,6 +83,13 @@ def say(line: str) -> None:
 
 
 def quiet_libraries() -> None:
-    """Leave warnings and errors of the libraries' logs, drop their chatter."""
+    """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks of explained errors."""
     for name in ("httpx", "alembic", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    for name in ("prefect.flow_runs", "prefect.task_runs"):
+        logging.getLogger(name).addFilter(_needs_a_traceback)
+
+
+def _needs_a_traceback(record: logging.LogRecord) -> bool:
+    # An error that explains itself is told once, where the run ends.
+    return not (record.exc_info and isinstance(record.exc_info[1], SimgapError))
