@@ -103,6 +103,8 @@ def train_cell(
     with job(cell.name, steps_at_most(cell, params.train)) as report:
         reused = finished(workspace, cell, mark)
         if not reused:
+            # Should this training fail, the model of other parameters must not pass for its result.
+            workspace.record(cell).unlink(missing_ok=True)
             _train(workspace, cell, params, mark, report, clock)
     log_cell(workspace, cell, params.train, grid, {"transitions": digest, "reused": str(reused)})
 
@@ -141,7 +143,7 @@ def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, 
         run.params({**cell._asdict(), **relevant_params(cell, params)})
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)
-        run.dataset(f"{workspace.source}-transitions", workspace.transitions, transitions.digest(workspace), "training")
+        run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
         run.scores({"seconds": record["seconds"], "steps": record["steps"]})
         run.model(workspace.model(cell), input_columns(SCHEMA), SCHEMA.encoded)
     return run

@@ -167,12 +167,15 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Pat
 
 def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
     overrides = {**TINY, "train": {**TINY["train"], "sample_sizes": [40, 100_000], "models": ["sim_model"]}}
+    stale = Workspace(tmp_path / "w", "virtual").record(Cell("student_t", "sim_model", 100_000, 0))
+    files.write_json(stale, {"fingerprint": "of other parameters"})
     status, output = finish(start(tmp_path, overrides), tmp_path)
     assert status == 1
     assert "1 of 2 cells failed" in output
     assert "N = 100000 transitions are asked for" in output
     table = pd.read_csv(tmp_path / "w" / "reports" / "virtual" / "scores.csv")
     assert table["sample_size"].tolist() == [40]
+    assert not stale.exists()
 
 
 @pytest.mark.parametrize(
