@@ -7,8 +7,9 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-Kind = Literal["position", "angle", "velocity"]
+Kind = Literal["position", "angle", "velocity", "force"]
 Frame = Literal["world", "body"]
+Axis = Literal["x", "y", "z", "yaw", ""]
 
 
 class SimgapError(Exception):
@@ -29,30 +30,45 @@ class DivergenceError(SimgapError):
 
 @dataclass(frozen=True)
 class Field:
-    """One state or command column: its name, its unit, what it measures and the frame it is given in."""
+    """One state or command column: its name, its unit, what it measures and the frame it is given in.
+
+    `body` and `axis` say of which moving part it is and along which axis (`yaw`: about the vertical): a velocity
+    changes the position of the same body and axis, a command drives the velocity of the same body and axis. Without
+    them, effects that need geometry do not apply.
+    """
 
     name: str
     unit: str
     kind: Kind
     frame: Frame
+    body: str = ""
+    axis: Axis = ""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One simulator parameter: its name, its unit and its plausible range, from which priors are drawn."""
+    """One simulator parameter: its name, its unit and its plausible range, from which priors are drawn.
+
+    `nominal` is the value the simulator is used with as it is; the middle of the range where it has none.
+    """
 
     name: str
     unit: str
     low: float
     high: float
+    nominal: float | None = None
 
 
 @dataclass(frozen=True)
 class Schema:
-    """The columns of a robot's recordings, in order."""
+    """The columns of a robot's recordings, in order.
+
+    `mounts`: pairs (body, carrier), where a body is mounted on another and turns with it, as a hand on a base.
+    """
 
     state: tuple[Field, ...]
     command: tuple[Field, ...]
+    mounts: tuple[tuple[str, str], ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -97,8 +113,8 @@ class Prediction(NamedTuple):
     dof: Float[Array, " y"]
 
 
-class Simulator(Protocol):
-    """A hand-made model of a robot: pure, differentiable, with parameters in plausible ranges."""
+class StepModel(Protocol):
+    """What a diagnosis needs of a simulator: pure, differentiable, with parameters in plausible ranges."""
 
     @property
     def schema(self) -> Schema:
@@ -120,6 +136,10 @@ class Simulator(Protocol):
     ) -> Float[Array, " s"]:
         """The next state."""
         ...
+
+
+class Simulator(StepModel, Protocol):
+    """A hand-made model of a robot that also gives the coordinates in which functional priors are compared."""
 
     def to_body(self, state: Float[Array, " s"]) -> Float[Array, " s"]:
         """The state in coordinates whose ranges are independent of each other, such as the robot's own frame."""

@@ -1,0 +1,1 @@
+"""From recordings and a simulator to what the simulator leaves out."""

@@ -1,0 +1,78 @@
+"""What may be missing: every effect of the catalogue, at every site where it can act and at sites that share it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.fit import Group
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Augmented, Slot
+from simgap.effects.effect import Effect, Scales, Site
+
+
+class Candidate(NamedTuple):
+    """One hypothesis: an effect at one site, or shared by several, with constants to start a search at.
+
+    groups: one per constant; starts: internal constants [k] each.
+    """
+
+    effect: Effect
+    sites: tuple[int, ...]
+    where: str
+    channels: tuple[str, ...]
+    outputs: tuple[str, ...]
+    groups: tuple[Group, ...]
+    starts: tuple[tuple[float, ...], ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.effect.key} on {self.where}"
+
+
+def candidates(augmented: Augmented, scales: Scales) -> list[Candidate]:
+    """All hypotheses of one effect."""
+    found = []
+    for e, (effect, sites) in enumerate(zip(CATALOGUE, augmented.sites, strict=True)):
+        for where, members in _tied(effect, sites):
+            found.append(_candidate(augmented, scales, e, where, members))
+    return found
+
+
+def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:
+    effect, sites = CATALOGUE[e], augmented.sites[e]
+    groups = tuple(
+        Group(tuple(augmented.index[Slot(e, k, s)] for s in members)) for k in range(len(effect.constants))
+    )
+    low, high = augmented.bounds
+    starts = []
+    # Sites that share a constant are searched at the start of the one with the greatest range.
+    lead = max(members, key=lambda s: abs(effect.starts(scales, s)[0][0]) if "limit" not in effect.constants[0].name
+               else -abs(effect.starts(scales, s)[0][0]))  # fmt: skip
+    for start in effect.starts(scales, lead):
+        limits = [(low[g.entries[0]], high[g.entries[0]]) for g in groups]
+        starts.append(tuple(float(np.clip(c, *limit)) for c, limit in zip(start, limits, strict=True)))
+    return Candidate(
+        effect, members, where, _union(sites[s].channels for s in members), _union(sites[s].outputs for s in members),
+        groups, tuple(starts),
+    )  # fmt: skip
+
+
+def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int, ...]]]:
+    """Single sites, sites of one family, and all sites; those that share a constant must share its unit if it has one."""
+    found = {(s,): site.name for s, site in enumerate(sites)}
+    if effect.tie != "never":
+        families = dict.fromkeys(site.family for site in sites)
+        sets = [(f, tuple(s for s, site in enumerate(sites) if site.family == f)) for f in families]
+        if effect.tie == "any":
+            sets.append(("all", tuple(range(len(sites)))))
+        for name, members in sets:
+            units = dict.fromkeys(sites[s].unit for s in members)
+            split = [members] if effect.tie == "any" else [tuple(s for s in members if sites[s].unit == u) for u in units]
+            for part in split:
+                label = name if len(part) == len(members) else ", ".join(sites[s].name for s in part)
+                found.setdefault(part, label)
+    return [(where, members) for members, where in found.items() if members]
+
+
+def _union(lists) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for names in lists for name in names))

@@ -1,0 +1,287 @@
+"""Maximum likelihood of the innovations: Gauss-Newton with weights that Student's t noise gives.
+
+The innovations' outputs are correlated (a position integrates its velocity): they are decorrelated by a fixed matrix
+first, so that nats add up; then each has a Student's t noise of its own.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaln
+
+from simgap.diagnosis.innovations import Chunks, Variables, innovations, innovations_of, tangents
+from simgap.effects.augmented import Augmented
+from simgap.effects.effect import Scales
+from simgap.types import DivergenceError
+
+DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
+BATCHES = (2, 4, 12)
+"""Directions or trials are evaluated side by side in one of these numbers, each compiled once."""
+THREADS = 2
+"""Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
+STEPS = (1.0, 0.5, 0.2, 0.05)
+"""Shares of a Gauss-Newton step that are tried."""
+CONVERGED = 0.05
+"""Gain [nats] below which iterations end."""
+PRIOR_PRECISION = 1.0
+"""Of the simulator's parameters, in units of their ranges: a range is one standard deviation, hence hardly a prior."""
+
+
+class Problem(NamedTuple):
+    """Recordings and the simulator to explain them; `whiten` decorrelates the innovations' outputs."""
+
+    augmented: Augmented
+    scales: Scales
+    chunks: Chunks
+    whiten: Float[np.ndarray, "s s"]
+
+
+class Group(NamedTuple):
+    """One free constant: the entries of theta that share it, and whether it acts where gated only."""
+
+    entries: tuple[int, ...]
+    gated: bool = False
+
+
+class Noise(NamedTuple):
+    """Student's t of each decorrelated output."""
+
+    scale: Float[np.ndarray, " s"]
+    dof: Float[np.ndarray, " s"]
+
+
+class Fit(NamedTuple):
+    """A model with its constants fitted; e: decorrelated innovations of the rows that count."""
+
+    v: Variables
+    groups: tuple[Group, ...]
+    e: Float[np.ndarray, "n s"]
+    noise: Noise
+    loglik: float
+
+
+def log_density(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s"]:
+    """ln t(e), elementwise."""
+    d = noise.dof
+    constant = gammaln((d + 1) / 2) - gammaln(d / 2) - 0.5 * np.log(d * np.pi) - np.log(noise.scale)
+    return constant - (d + 1) / 2 * np.log1p((e / noise.scale) ** 2 / d)
+
+
+def weights(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s"]:
+    """w with d ln t / de = -w e: what an innovation counts for."""
+    return (noise.dof + 1) / (noise.dof * noise.scale**2 + e**2)
+
+
+def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
+    """Scale by expectation maximisation for every dof of `DOFS`, and the dof of greatest likelihood."""
+    d = DOFS[:, None, None]
+    squared = (e.T.astype(np.float64) ** 2)[None]
+    variance = np.maximum(np.median(squared, axis=-1, keepdims=True) * 2, 1e-18) * np.ones_like(d)
+    for _ in range(12):
+        variance = ((d + 1) / (d + squared / variance) * squared).mean(-1, keepdims=True) + 1e-18
+    density = gammaln((d + 1) / 2) - gammaln(d / 2) - 0.5 * np.log(d * np.pi * variance)
+    total = (density - (d + 1) / 2 * np.log1p(squared / variance / d)).mean(-1)
+    best = total.argmax(0)
+    return Noise(np.sqrt(variance[best, np.arange(e.shape[1]), 0]), DOFS[best])
+
+
+def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
+    """The rows that count, in order: [..., n, s]."""
+    return np.asarray(e)[..., np.asarray(chunks.counts), :]
+
+
+def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: Noise | None = None) -> Fit:
+    """Innovations, noise (fitted unless given) and log-likelihood at v."""
+    raw = counted(problem.chunks, innovations(problem.augmented, problem.scales, v, problem.chunks))
+    return _fit(problem, v, groups, raw, noise)
+
+
+def _fit(problem: Problem, v: Variables, groups: tuple[Group, ...], raw: np.ndarray, noise: Noise | None) -> Fit:
+    e = raw @ problem.whiten.T.astype(np.float32)
+    if not np.isfinite(e).all():
+        return Fit(v, groups, e, noise or Noise(np.ones(e.shape[1]), np.ones(e.shape[1])), -np.inf)
+    noise = noise or fit_noise(e)
+    return Fit(v, groups, e, noise, float(log_density(e, noise).sum()))
+
+
+def start(problem: Problem) -> Variables:
+    """Nominal parameters, equal trust in prediction and measurement, no effect."""
+    phi = [p.nominal if p.nominal is not None else (p.low + p.high) / 2 for p in problem.augmented.simulator.parameters]
+    zero = jnp.zeros(len(problem.augmented.slots))
+    return Variables(jnp.asarray(phi, jnp.float32), jnp.zeros(len(problem.augmented.simulator.schema.state)), zero, zero)
+
+
+def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
+    """W with W e uncorrelated and of unit scale, by the covariance of what is left when outliers are clipped."""
+    scale = np.median(np.abs(e), axis=0) * 1.4826 + 1e-9
+    z = np.clip(e / scale, -3, 3)
+    covariance = np.cov(z.T).reshape(e.shape[1], -1) + 1e-4 * np.eye(e.shape[1])
+    return np.linalg.inv(np.linalg.cholesky(covariance)) / scale
+
+
+def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Float[np.ndarray, " M"]]:
+    """Unit directions of all that is free (phi, gain, constants), and the precision of their prior."""
+    p, s, size = len(problem.augmented.simulator.parameters), len(problem.whiten), len(problem.augmented.slots)
+    ranges = np.array([q.high - q.low or 1.0 for q in problem.augmented.simulator.parameters])
+    m = p + s + len(groups)
+    phi, gain, theta, gated = (np.zeros((m, n), np.float32) for n in (p, s, size, size))
+    phi[:p] = np.diag(ranges)
+    gain[p : p + s] = np.eye(s)
+    for k, group in enumerate(groups):
+        (gated if group.gated else theta)[p + s + k, list(group.entries)] = 1.0
+    precision = np.concatenate([np.full(p, PRIOR_PRECISION), np.full(s, 0.1), np.full(len(groups), 1e-8)])
+    return Variables(*(jnp.asarray(a) for a in (phi, gain, theta, gated))), precision
+
+
+def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s"]:
+    """Derivatives of the decorrelated innovations by phi (in ranges) and gain."""
+    free, _ = directions(problem, ())
+    return _in_batches(problem, free, lambda d: tangents(problem.augmented, problem.scales, v, d, problem.chunks))
+
+
+def trials(problem: Problem, vs: Variables) -> Float[np.ndarray, "M n s"]:
+    """Decorrelated innovations of several values of the variables."""
+    return _in_batches(problem, vs, lambda v: innovations_of(problem.augmented, problem.scales, v, problem.chunks))
+
+
+def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.ndarray:
+    count = len(many.phi)
+    size = min((b for b in BATCHES if b >= count), default=BATCHES[-1])
+
+    def batch(first: int) -> np.ndarray:
+        # The last batch is filled up by repetition, so that it has one of the compiled sizes.
+        index = np.minimum(np.arange(first, first + size), count - 1)
+        raw = counted(problem.chunks, function(jax.tree.map(lambda a: a[index], many)))
+        return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
+
+    return np.concatenate(side_by_side(batch, range(0, count, size)))
+
+
+def side_by_side(function: Callable, items: Iterable) -> list:
+    """The function of every item, in order, computed on `THREADS` threads."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(function, items))
+
+
+def constant_columns(problem: Problem, v: Variables, groups: Sequence[Group]) -> Float[np.ndarray, "k n s"]:
+    """Derivatives by constants as central differences, wide enough to see over kinks; one-sided at a bound."""
+    if not groups:
+        return np.zeros((0, int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)), np.float32)
+    low, high = problem.augmented.bounds
+    plus, minus, width = [], [], []
+    for group in groups:
+        entries = list(group.entries)
+        base = v.gated if group.gated else v.theta
+        value = float(base[entries[0]])
+        h = 0.02 * abs(value) + 1e-3
+        up, down = min(value + h, _least(high, entries)), max(value - h, _most(low, entries))
+        for target, to in ((plus, up), (minus, down)):
+            changed = base.at[jnp.array(entries)].set(to)
+            target.append(v._replace(gated=changed) if group.gated else v._replace(theta=changed))
+        width.append(max(up - down, 1e-9))
+    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *plus, *minus))
+    k = len(groups)
+    return (e[:k] - e[k:]) / np.array(width, np.float32)[:, None, None]
+
+
+def _least(high: np.ndarray, entries: list[int]) -> float:
+    return float(high[entries].min())
+
+
+def _most(low: np.ndarray, entries: list[int]) -> float:
+    return float(low[entries].max())
+
+
+def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
+    """v + delta along the free directions, constants kept within their bounds."""
+    free, _ = directions(problem, groups)
+    d = jnp.asarray(delta, jnp.float32)
+    moved = Variables(*(a + d @ b for a, b in zip(v, free, strict=True)))
+    low, high = (jnp.asarray(b, jnp.float32) for b in problem.augmented.bounds)
+    own = [i for g in groups if not g.gated for i in g.entries]
+    theta = moved.theta
+    if own:
+        index = jnp.array(own)
+        theta = theta.at[index].set(jnp.clip(theta[index], low[index], high[index]))
+    return moved._replace(theta=theta, gain=jnp.clip(moved.gain, -6, 6))
+
+
+def _prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np.ndarray:
+    """Where v stands from the prior's centre, along the free directions."""
+    parameters = problem.augmented.simulator.parameters
+    middle = np.array([(p.low + p.high) / 2 for p in parameters])
+    ranges = np.array([p.high - p.low or 1.0 for p in parameters])
+    return np.concatenate([(np.asarray(v.phi) - middle) / ranges, np.asarray(v.gain), np.zeros(len(groups))])
+
+
+def gauss_newton(
+    problem: Problem,
+    fit: Fit,
+    columns: Float[np.ndarray, "M n s"],
+    precision: Float[np.ndarray, " M"],
+) -> Fit:
+    """One step from `fit` along columns of all its free directions; the best of several lengths, or `fit` itself."""
+    w = weights(fit.e, fit.noise).astype(np.float32)
+    flat = columns.reshape(len(columns), -1)
+    weighted = flat * w.reshape(-1)
+    offset = _prior_offset(problem, fit.v, fit.groups)
+    hessian = (weighted @ flat.T).astype(np.float64) + np.diag(precision)
+    gradient = (weighted @ fit.e.reshape(-1)).astype(np.float64) + precision * offset
+    hessian += 1e-6 * np.diag(np.diag(hessian)) + 1e-9 * np.eye(len(hessian))
+    delta = -np.linalg.solve(hessian, gradient)
+    moved = [_moved(problem, fit.v, fit.groups, share * delta) for share in STEPS]
+    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *moved))
+
+    def value(e: np.ndarray, v: Variables) -> float:
+        if not np.isfinite(e).all():
+            return -np.inf
+        away = _prior_offset(problem, v, fit.groups)
+        return float(log_density(e, fit.noise).sum()) - 0.5 * float(precision @ away**2)
+
+    values = [value(e[i], v) for i, v in enumerate(moved)]
+    best = int(np.argmax(values))
+    if values[best] <= value(fit.e, fit.v):
+        return fit
+    noise = fit_noise(e[best])
+    return Fit(moved[best], fit.groups, e[best], noise, float(log_density(e[best], noise).sum()))
+
+
+def refine(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], iterations: int) -> Fit:
+    """Gauss-Newton with the derivatives by phi and gain held, those by constants renewed."""
+    _, precision = directions(problem, fit.groups)
+    for _ in range(iterations):
+        columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
+        improved = gauss_newton(problem, fit, columns, precision)
+        gain = improved.loglik - fit.loglik
+        fit = improved
+        if gain < CONVERGED:
+            break
+    return fit
+
+
+def optimise(problem: Problem, fit: Fit, iterations: int) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
+    """Gauss-Newton with all derivatives renewed; returns the derivatives by phi and gain at the end as well.
+
+    Raises DivergenceError when the start leaves the finite numbers.
+    """
+    if not np.isfinite(fit.loglik):
+        raise DivergenceError(
+            "the simulator leaves the finite numbers on these recordings at its nominal parameters. "
+            "Check its units and its time step."
+        )
+    nuisance = nuisance_columns(problem, fit.v)
+    for _ in range(iterations):
+        _, precision = directions(problem, fit.groups)
+        columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
+        improved = gauss_newton(problem, fit, columns, precision)
+        gain = improved.loglik - fit.loglik
+        fit = improved
+        if gain < CONVERGED:
+            break
+        nuisance = nuisance_columns(problem, fit.v)
+    return fit, nuisance

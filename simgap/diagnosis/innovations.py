@@ -1,0 +1,138 @@
+"""Innovations: what a measured row adds to what the rows before it foretold [Ljung 1999, prediction-error methods].
+
+The state is measured with noise, so a regression on measured states is biased where nothing is missing. Here the
+estimate x of the state is carried by the simulator and corrected by each measurement y only as far as it deserves:
+
+    e_t = y_t - h(f(x_{t-1}, u_{t-1}))        x_t = f(x_{t-1}, u_{t-1}) + K e_t
+
+with a gain K in [0, 1] per output, fitted together with everything else. Sessions are cut into chunks that run side by
+side, each after a few rows of run-in that do not count.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
+from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.types import Recording
+
+LENGTH = 40
+"""Rows of a chunk that count."""
+RUN_IN = 10
+"""Rows before them, in which the estimate forgets its start."""
+WARM = 30
+"""Rows of past commands that run through the command path before a chunk, so that play and lags are where they were."""
+PAD = 16
+"""The number of chunks is a multiple of this, so that recording sets of like size share what is compiled."""
+
+
+class Chunks(NamedTuple):
+    """Sessions cut into C chunks of T = RUN_IN + LENGTH + 1 rows.
+
+    counts: whether the row t + 1 of the chunk is scored. gate: where gated constants act, 0 or 1. session: index into
+    the recordings; row: of the chunk's first row in its session.
+    """
+
+    state: Float[Array, "C T s"]
+    command: Float[Array, "C T u"]
+    past: Float[Array, "C h u"]
+    time_s: Float[Array, "C T"]
+    interval: Float[Array, "C T"]
+    counts: Bool[Array, "C T-1"]
+    gate: Float[Array, "C T"]
+    session: Int[np.ndarray, " C"]
+    row: Int[np.ndarray, " C"]
+
+
+class Variables(NamedTuple):
+    """All that can be fitted: simulator parameters phi, logit of the gain K, effects' constants, those where gated."""
+
+    phi: Float[Array, " p"]
+    gain: Float[Array, " s"]
+    theta: Float[Array, " P"]
+    gated: Float[Array, " P"]
+
+
+def cut(recordings: Sequence[Recording], time_step: float) -> Chunks:
+    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count."""
+    rows = RUN_IN + LENGTH + 1
+    parts: list[tuple] = []
+    for s, r in enumerate(recordings):
+        steps = len(r.time_s) - 1
+        interval = np.append(np.diff(r.time_s) / time_step, 1.0)
+        for first in range(0, max(steps - 1, 1), LENGTH):
+            start = max(first - RUN_IN, 0)
+            index = np.minimum(np.arange(start, start + rows), steps)
+            successor = np.arange(start + 1, start + rows)
+            # At a session's start a few rows are let in: the estimate begins at a measured state.
+            counted = (successor > max(first, 2)) & (successor <= min(first + LENGTH, steps))
+            before = np.maximum(start - 1 - np.arange(HISTORY_ROWS + WARM), 0)
+            parts.append((r.state[index], r.command[index], r.command[before], r.time_s[index] - r.time_s[0],
+                          interval[index], counted, np.ones(rows), s, start))  # fmt: skip
+    while len(parts) % PAD:
+        *arrays, counted, gate, s, start = parts[0]
+        parts.append((*arrays, np.zeros_like(counted), gate, s, start))
+    *arrays, session, row = (np.stack(a) for a in zip(*parts, strict=True))
+    as_float = [jnp.asarray(a if a.dtype == bool else np.asarray(a, np.float32)) for a in arrays]
+    return Chunks(*as_float, session=session, row=row)
+
+
+def wrap(augmented: Augmented, difference: Float[Array, "... s"]) -> Float[Array, "... s"]:
+    """Differences of states with those of angles in (-pi, pi]."""
+    return jnp.where(augmented.layout.angles, jnp.arctan2(jnp.sin(difference), jnp.cos(difference)), difference)
+
+
+def _chunk(
+    augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks
+) -> Float[Array, "T-1 s"]:
+    """Innovations of one chunk (without its leading axis C)."""
+    gain = jax.nn.sigmoid(v.gain)
+    at_start = v.theta + chunk.gate[0] * v.gated
+    first = unsense(augmented, at_start, chunk.state[0])
+    memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0])
+
+    def row(carry, now):
+        memory, x = carry
+        y_next, u, time_s, interval, gate = now
+        theta = v.theta + gate * v.gated
+        memory, x = advance(augmented, v.phi, theta, scales, memory, x, u, Row(time_s, interval))
+        e = wrap(augmented, y_next - sense(augmented, theta, memory, x))
+        return (memory, x + gain * e), e
+
+    rows = (chunk.state[1:], chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:-1])
+    return jax.lax.scan(row, (memory, first), rows)[1]
+
+
+def _all(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    arrays = chunks._replace(session=jnp.zeros(len(chunks.state)), row=jnp.zeros(len(chunks.state)))
+    e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, chunk))(arrays)
+    return jnp.where(chunks.counts[..., None], e, 0.0)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """Innovations of every chunk in the outputs' units, zero in rows that do not count."""
+    return _all(augmented, scales, v, chunks)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def innovations_of(
+    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks
+) -> Float[Array, "M C T-1 s"]:
+    """The same for M values of all variables side by side (leading axis M in `v` only)."""
+    return jax.vmap(lambda v: _all(augmented, scales, v, chunks))(v)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def tangents(
+    augmented: Augmented, scales: Scales, v: Variables, directions: Variables, chunks: Chunks
+) -> Float[Array, "M C T-1 s"]:
+    """Derivatives of the innovations along M directions in the variables."""
+    along = lambda d: jax.jvp(lambda v: _all(augmented, scales, v, chunks), (v,), (d,))[1]  # noqa: E731
+    return jax.vmap(along)(directions)

@@ -1,0 +1,149 @@
+"""Which of many hypotheses deserve a fit, and whether the best of them is more than the best of noise.
+
+Every hypothesis is a direction in the innovations: the change d that its effect makes at a starting value. What phi,
+gain and the constants at hand can absorb of d is projected out; the rest says how much an effect of this kind could
+gain, and a bootstrap of the current model's scores says how much the best of all directions gains by chance.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.candidates import Candidate
+from simgap.diagnosis.fit import BATCHES, Fit, Problem, side_by_side, trials, weights
+from simgap.diagnosis.innovations import Variables
+
+BLOCK = 20
+"""Rows whose scores are taken to be dependent."""
+DRAWS = 4000
+NOTHING = 1e-4
+"""Squared length of a direction [nats] that is nothing at all."""
+
+
+class Screened(NamedTuple):
+    """A hypothesis at a start: gain expected [nats], and its test statistic (chi-squared with one degree of freedom).
+
+    power: nats that an effect at the starting value would gain, so what the recordings could have shown.
+    """
+
+    candidate: Candidate
+    start: tuple[float, ...]
+    gain: float
+    statistic: float
+    power: float
+
+
+class Screening(NamedTuple):
+    """All hypotheses, best first, and the chance that noise alone gives as good a best one."""
+
+    found: list[Screened]
+    p_value: float
+    threshold: float  # of the statistic, at `level`
+
+
+def _vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Variables:
+    """v with the candidate's constants set."""
+    theta, gated = v.theta, v.gated
+    for group, value in zip(candidate.groups, constants, strict=True):
+        index = jnp.array(group.entries)
+        if group.gated:
+            gated = gated.at[index].set(value)
+        else:
+            theta = theta.at[index].set(value)
+    return v._replace(theta=theta, gated=gated)
+
+
+def _directions(candidates: Sequence[Candidate]) -> list[tuple[Candidate, tuple[float, ...], int]]:
+    """(candidate, start, constant): one constant at its start, the other amplitudes zero, shapes at their start."""
+    found = []
+    for candidate in candidates:
+        shapes = [c.shapes for c in candidate.effect.constants]
+        for start in candidate.starts:
+            for k, shape in enumerate(shapes):
+                if not shape:
+                    values = tuple(v if j == k or shapes[j] else 0.0 for j, v in enumerate(start))
+                    found.append((candidate, values, k))
+    return found
+
+
+def screen(
+    problem: Problem,
+    fit: Fit,
+    absorbing: Float[np.ndarray, "M n s"],
+    candidates: Sequence[Candidate],
+    level: float,
+    rng: np.random.Generator,
+) -> Screening:
+    """Test all hypotheses against the fitted model; `absorbing` are the derivatives of all that is free in it."""
+    w = weights(fit.e, fit.noise).astype(np.float32)
+    root = np.sqrt(w).reshape(-1)
+    basis, _ = np.linalg.qr((absorbing.reshape(len(absorbing), -1) * root).T)
+    # At the optimum the residual has no part in what the model can absorb; float32 leaves a trace.
+    residual = fit.e.reshape(-1) * root
+    residual = residual - basis @ (basis.T @ residual)
+    blocks = (_blocks(np.asarray(problem.chunks.counts)), len(fit.e))
+    directions = _directions(candidates)
+    low, _ = problem.augmented.bounds
+
+    def batch(first: int) -> list[tuple[Screened, np.ndarray]]:
+        some = directions[first : first + BATCHES[-1]]
+        vs = [_vary(fit.v, candidate, values) for candidate, values, _ in some]
+        change = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *vs)) - fit.e
+        d = change.reshape(len(some), -1) * root
+        d = d - (d @ basis) @ basis.T
+        tested = (_test(c, values, k, along, residual, blocks, low) for (c, values, k), along in zip(some, d, strict=True))
+        return [t for t in tested if t is not None]
+
+    results = [t for part in side_by_side(batch, range(0, len(directions), BATCHES[-1])) for t in part]
+    found, scores = [s for s, _ in results], [score for _, score in results]
+    noise = _best_of_noise(np.array(scores), rng)
+    best = max((s.statistic for s in found), default=0.0)
+    p_value = float((1 + (noise >= best).sum()) / (1 + len(noise)))
+    found.sort(key=lambda s: -s.gain)
+    return Screening(found, p_value, float(np.quantile(noise, 1 - level)))
+
+
+def _test(
+    candidate: Candidate,
+    values: tuple[float, ...],
+    k: int,
+    direction: Float[np.ndarray, " m"],
+    residual: Float[np.ndarray, " m"],
+    blocks: tuple[np.ndarray, int],
+    low: Float[np.ndarray, " P"],
+) -> tuple[Screened, Float[np.ndarray, " B"]] | None:
+    """One hypothesis: how its direction and the residual go together, block by block; None where it diverges."""
+    power = float(direction @ direction)
+    if not np.isfinite(power):
+        return None
+    by_row = (direction * residual).reshape(blocks[1], -1).sum(1)
+    score = -np.add.reduceat(by_row, blocks[0])
+    variance, total = float(score @ score), float(score.sum())
+    if power < NOTHING or variance == 0:
+        return Screened(candidate, values, 0.0, 0.0, 0.0), np.zeros_like(score)
+    amplitude = total / power
+    two_sided = low[candidate.groups[k].entries[0]] < 0
+    possible = amplitude > 0 or two_sided
+    # A law that is linear in its constant can start where the data would have it.
+    start = tuple(v * float(np.clip(amplitude, -3, 3)) if j == k and two_sided else v for j, v in enumerate(values))
+    gain, statistic = (0.5 * total**2 / power, total**2 / variance) if possible else (0.0, 0.0)
+    return Screened(candidate, start, gain, statistic, 0.5 * power), score / np.sqrt(variance)
+
+
+def _blocks(counts: np.ndarray) -> np.ndarray:
+    """Starts of the blocks among the rows that count, none across two chunks."""
+    starts, total = [], 0
+    for n in counts.sum(1):
+        starts += list(range(total, total + int(n), BLOCK))
+        total += int(n)
+    return np.array(starts)
+
+
+def _best_of_noise(scores: Float[np.ndarray, "h B"], rng: np.random.Generator) -> Float[np.ndarray, " draws"]:
+    """Greatest statistic over all hypotheses when every block's score takes a random sign (wild bootstrap)."""
+    signs = rng.choice(np.array([-1.0, 1.0], np.float32), (scores.shape[1], DRAWS))
+    return ((scores.astype(np.float32) @ signs) ** 2).max(0)

@@ -1,0 +1,15 @@
+"""The vocabulary of left-out physics: one physical family a file, all in `CATALOGUE`."""
+
+from simgap.effects import command_path, coupling, forces, limits, resistance, sensing, timing
+from simgap.effects.effect import Effect
+
+CATALOGUE: tuple[Effect, ...] = (
+    *command_path.EFFECTS,
+    *timing.EFFECTS,
+    *resistance.EFFECTS,
+    *forces.EFFECTS,
+    *coupling.EFFECTS,
+    *limits.EFFECTS,
+    *sensing.EFFECTS,
+)
+"""Laws of the mean, in the order in which they act at each place."""

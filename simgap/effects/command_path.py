@@ -1,0 +1,193 @@
+"""Effects on the way from a command that is sent to the command that acts.
+
+A law of place "command" is `law(c[k, sites], u, past, row, layout) -> u`, where past[k] was sent k + 1 rows ago; one of
+place "filter" is `law(c[k, sites], u, z) -> z`, with z its own last output.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Row, Scales, Site, channel_sites
+from simgap.layout import Layout, X, Y
+
+_U = Float[Array, " u"]
+
+
+def _delay(c: Float[Array, "1 u"], u: _U, past: Float[Array, "h u"], row: Row, layout: Layout) -> _U:
+    """u(t - d), d = c rows, between two rows in proportion."""
+    sent = jnp.concatenate([u[None], past])
+    rows = jnp.arange(len(sent))[:, None]
+    return (jnp.maximum(0.0, 1 - jnp.abs(rows - c[0])) * sent).sum(0)
+
+
+def _quantization(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """Multiples of the step c."""
+    step = jnp.where(c[0] > 0, c[0], 1.0)
+    return jnp.where(c[0] > 0, jnp.round(u / step) * step, u)
+
+
+def _deadband(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """Nothing below the width c, the rest shifted by it."""
+    return u - jnp.clip(u, -c[0], c[0])
+
+
+def _backlash(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
+    """Play of gap c: the output is dragged along at the gap's ends."""
+    return jnp.clip(z, u - c[0] / 2, u + c[0] / 2)
+
+
+def _gain(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """(1 + c) u."""
+    return u * (1 + c[0])
+
+
+def _asymmetric_gain(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """(1 - c) u where u < 0."""
+    return u - c[0] * jnp.minimum(u, 0.0)
+
+
+def _gain_drift(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """(1 + c t) u, t in minutes."""
+    return u * (1 + c[0] * row.time_s / 60)
+
+
+def _saturation(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """u within +-1/c."""
+    return u / jnp.maximum(1.0, jnp.abs(u) * c[0])
+
+
+def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
+    """Changes by at most 1/c a row."""
+    change = u - z
+    return z + change / jnp.maximum(1.0, jnp.abs(change) * c[0])
+
+
+def _lag(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
+    """First-order response with memory c = exp(-time step / time constant)."""
+    return c[0] * z + (1 - c[0]) * u
+
+
+def _pairs(layout: Layout) -> list[tuple[int, int]]:
+    """(from, to) command indices of the same body."""
+    fields = layout.schema.command
+    return [
+        (i, j) for i, f in enumerate(fields) for j, g in enumerate(fields) if i != j and f.body and f.body == g.body
+    ]
+
+
+def _pair_sites(layout: Layout) -> tuple[Site, ...]:
+    sites = channel_sites(layout)
+    return tuple(
+        Site(f"{sites[i].name} into {sites[j].name}", (sites[i].name,), sites[j].outputs, sites[i].family, sites[j].unit)
+        for i, j in _pairs(layout)
+    )
+
+
+def _cross_axis(c: Float[Array, "1 n"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """u_j + c u_i."""
+    leak = jnp.zeros_like(u)
+    for k, (i, j) in enumerate(_pairs(layout)):
+        leak = leak.at[j].add(c[0, k] * u[i])
+    return u + leak
+
+
+def _planar(layout: Layout) -> list[int]:
+    return [b for b in range(len(layout.bodies)) if all(layout.command[b, [X, Y]] >= 0)]
+
+
+def _planar_sites(layout: Layout) -> tuple[Site, ...]:
+    return tuple(
+        Site(layout.bodies[b], tuple(layout.schema.command[i].name for i in layout.command[b, [X, Y]]),
+             layout.outputs(b, (X, Y)), "frame", "rad")
+        for b in _planar(layout)
+    )  # fmt: skip
+
+
+def _misalignment(c: Float[Array, "1 n"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    """Horizontal commands turned by the angle c."""
+    for k, b in enumerate(_planar(layout)):
+        ix, iy = (int(i) for i in layout.command[b, [X, Y]])
+        cos, sin = jnp.cos(c[0, k]), jnp.sin(c[0, k])
+        u = u.at[ix].set(cos * u[ix] - sin * u[iy]).at[iy].set(sin * u[ix] + cos * u[iy])
+    return u
+
+
+def _fractions(*fractions: float):
+    """Starting values as fractions of the channel's usual command."""
+    return lambda scales, site: [[f * float(scales.command[site])] for f in fractions]
+
+
+def _reciprocals(*fractions: float):
+    return lambda scales, site: [[1 / max(f * float(scales.command[site]), 1e-6)] for f in fractions]
+
+
+def _fixed(*values: float):
+    return lambda scales, site: [[v] for v in values]
+
+
+def _reciprocal(c: float, site: int, scales: Scales) -> float:
+    return 1 / c if c else np.inf
+
+
+EFFECTS = (
+    Effect(
+        "delay", "command",
+        (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(HISTORY_ROWS)),),
+        channel_sites, _fixed(0.5, 1.0, 2.0, 3.5), _delay,
+        "the commands {where} act {delay} after they are sent (dead time)", tie="any",
+    ),
+    Effect(
+        "quantization", "command", (Constant("step", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.2, 0.4, 0.7),
+        _quantization, "the commands {where} are followed in steps of {step}", tie="same_unit",
+    ),
+    Effect(
+        "deadband", "command", (Constant("width", "{u}", low=0.0),), channel_sites, _fractions(0.05, 0.15, 0.35),
+        _deadband, "commands {where} below {width} do nothing", tie="same_unit",
+    ),
+    Effect(
+        "backlash", "filter", (Constant("gap", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.3, 0.7),
+        _backlash, "after a reversal the output of {where} waits until a play of {gap} is crossed", tie="same_unit",
+    ),
+    Effect(
+        "gain", "command", (Constant("gain", "-", lambda c, site, scales: 1 + c, -0.95, 2.0),), channel_sites,
+        _fixed(-0.15), _gain, "the robot follows the commands {where} by a factor of {gain}", tie="any",
+    ),
+    Effect(
+        "asymmetric_gain", "command", (Constant("ratio", "-", lambda c, site, scales: 1 - c, -2.0, 0.95),),
+        channel_sites, _fixed(0.15), _asymmetric_gain,
+        "negative commands {where} are followed by {ratio} times what positive ones are", tie="any",
+    ),
+    Effect(
+        "gain_drift", "command", (Constant("change", "1/min", low=-1.0, high=1.0),), channel_sites, _fixed(-0.1),
+        _gain_drift, "the response to {where} changes by {change} of itself over a session", tie="any",
+    ),
+    Effect(
+        "cross_axis_coupling", "command", (Constant("ratio", "-", low=-1.5, high=1.5),), _pair_sites, _fixed(0.1),
+        _cross_axis, "{where} leaks by {ratio}",
+    ),
+    Effect(
+        "frame_misalignment", "command", (Constant("angle", "rad", low=-1.6, high=1.6),), _planar_sites, _fixed(0.1),
+        _misalignment, "the command frame of {where} is turned by {angle} against the assumed one", tie="any",
+    ),
+    Effect(
+        "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0),), channel_sites,
+        _reciprocals(0.95, 0.8, 0.6, 0.35), _saturation, "commands {where} beyond {limit} have no further effect",
+        tie="same_unit",
+    ),
+    Effect(
+        "rate_limit", "filter",
+        (Constant("limit", "{u}/s", lambda c, site, scales: 1 / (c * scales.time_step) if c else np.inf, 0.0),),
+        channel_sites,
+        lambda scales, site: [[1 / max(f * float(scales.command_step[site]), 1e-6)] for f in (0.9, 0.6, 0.35, 0.15)],
+        _rate_limit, "the robot follows the commands {where} no faster than {limit}", tie="same_unit",
+    ),
+    Effect(
+        "lag", "filter",
+        (Constant("time constant", "s", lambda c, site, scales: -scales.time_step / np.log(c) if c > 0 else 0.0, 0.0,
+                  0.97),),
+        channel_sites, _fixed(0.2, 0.5, 0.8), _lag,
+        "a further first-order response of time constant {time constant} lies between {where} and the motion",
+        tie="any",
+    ),
+)  # fmt: skip

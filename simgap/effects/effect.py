@@ -1,0 +1,183 @@
+"""What an effect of the vocabulary is: a law that a simulator lacks, nil where its constants are zero.
+
+A law acts at one of six places of a simulated step (see `augmented.advance`), and an augmented simulator applies all laws of the catalogue at
+all their sites, each with its constants; the bare simulator is the one with all constants zero. Internal constants
+are chosen so: a limit is held as its reciprocal, a time constant as the memory it leaves after one step.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.layout import Layout, Motion
+
+Place = Literal["command", "filter", "before", "push", "after", "sensing"]
+HISTORY_ROWS = 8
+"""Past commands an augmented simulator remembers: the longest dead time, in rows."""
+SENSED_ROWS = 4
+"""Past states it remembers: the oldest a measured output can be, in rows."""
+
+
+class Memory(NamedTuple):
+    """What an augmented simulator remembers beyond the state.
+
+    commands[k]: sent k + 1 rows ago. filters: last output of every law of place "filter", by key. states[k]: the
+    state k + 1 rows ago.
+    """
+
+    commands: Float[Array, "h u"]
+    filters: dict[str, Float[Array, " u"]]
+    states: Float[Array, "r s"]
+
+
+class Row(NamedTuple):
+    """What is known of a row beside state and command: session time [s], interval over the nominal one [-]."""
+
+    time_s: Float[Array, ""]
+    interval: Float[Array, ""]
+
+
+class Scales(NamedTuple):
+    """Magnitudes of the recordings at hand, for starting values and for what is 'slow'.
+
+    command, command_step: 95th percentile of |u| and of |u_t - u_{t-1}| where it moves, per channel. speed: of the
+    bodies' own velocities [b, 4]; axis_speed, axis_command: of the velocity and the command (or velocity) at each axis
+    site. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, height: of z [b, 21]. interval: time [s] by which each position integrates its velocity in the simulator. output: 95th
+    percentile of |output| less its median. duration: of the longest session [s]. time_step [s].
+    """
+
+    command: np.ndarray
+    command_step: np.ndarray
+    speed: np.ndarray
+    axis_speed: np.ndarray
+    axis_command: np.ndarray
+    reach: np.ndarray
+    height: np.ndarray
+    interval: np.ndarray
+    output: np.ndarray
+    duration: float
+    time_step: float
+
+
+class Site(NamedTuple):
+    """Where an effect can act: its name, the commands and outputs concerned, and the family of sites it is tied in."""
+
+    name: str
+    channels: tuple[str, ...]
+    outputs: tuple[str, ...]
+    family: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant: name, unit (`{u}`: the site's own unit), and its physical value from the internal one.
+
+    `physical(c, index of the site, scales)`. `low`, `high` bound the internal value. `shapes`: it says how the other
+    constants act (from when on) and does nothing by itself.
+    """
+
+    name: str
+    unit: str
+    physical: Callable[[Any, int, Scales], Any] = lambda c, site, scales: c
+    low: float = -np.inf
+    high: float = np.inf
+    shapes: bool = False
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A law of the vocabulary.
+
+    id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
+    site): internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants
+    ("never"; "same_unit": alike axes; "any"). law: see the module of its place. says: one sentence for people with
+    {where} and the constants' names to fill in.
+    """
+
+    id: str
+    place: Place
+    constants: tuple[Constant, ...]
+    sites: Callable[[Layout], tuple[Site, ...]]
+    starts: Callable[[Scales, int], list[list[float]]]
+    law: Callable[..., Any]
+    says: str
+    form: str = ""
+    tie: Literal["never", "same_unit", "any"] = "never"
+
+    @property
+    def key(self) -> str:
+        """id and form."""
+        return f"{self.id}.{self.form}" if self.form else self.id
+
+
+class Step(NamedTuple):
+    """What a push can look at: the motion now, the motion the simulator expects, command and layout."""
+
+    now: Motion
+    then: Motion
+    command: Float[Array, " u"]
+    layout: Layout
+    scales: Scales
+    row: Row
+
+
+def channel_sites(layout: Layout) -> tuple[Site, ...]:
+    """Every command channel."""
+    sites = []
+    for i, f in enumerate(layout.schema.command):
+        where = np.argwhere(layout.command == i)
+        outputs = layout.outputs(int(where[0, 0]), (int(where[0, 1]),)) if len(where) else ()
+        sites.append(Site(f.name, (f.name,), outputs, f.body or f.name, f.unit))
+    return tuple(sites)
+
+
+def axis_sites(layout: Layout) -> tuple[Site, ...]:
+    """Every (body, axis) that can be pushed, in the order of `axis_indices`."""
+    sites = []
+    for b, a in axis_indices(layout):
+        column = layout.command[b, a]
+        channels = (layout.schema.command[column].name,) if column >= 0 else ()
+        outputs = layout.outputs(b, (a,))
+        unit = layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
+        sites.append(Site(outputs[0] if outputs else channels[0], channels, outputs, layout.bodies[b], unit))
+    return tuple(sites)
+
+
+def axis_indices(layout: Layout) -> list[tuple[int, int]]:
+    """The (body, axis) pairs that can be pushed and whose velocity is known."""
+    return [(b, a) for b in range(len(layout.bodies)) for a in range(4) if layout.velocity[b, a] >= 0]
+
+
+def body_sites(layout: Layout, bodies: list[int], axes: tuple[int, ...]) -> tuple[Site, ...]:
+    """One site per body, acting along `axes`."""
+    return tuple(_body_site(layout, b, axes) for b in bodies)
+
+
+def _body_site(layout: Layout, b: int, axes: tuple[int, ...]) -> Site:
+    channels = tuple(layout.schema.command[int(c)].name for c in layout.command[b, list(axes)] if c >= 0)
+    return Site(layout.bodies[b], channels, layout.outputs(b, axes), layout.bodies[b], "m/s")
+
+
+def mounted(layout: Layout) -> list[int]:
+    """Bodies on a carrier."""
+    return [b for b, c in enumerate(layout.carrier) if c is not None]
+
+
+def turning(layout: Layout) -> list[int]:
+    """Bodies with a yaw rate and velocities along x and y, not mounted."""
+    return [
+        b for b, c in enumerate(layout.carrier) if c is None and all(layout.velocity[b, [0, 1, 3]] >= 0)
+    ]
+
+
+def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:
+    """Values given per axis site, as a table of bodies x axes."""
+    table = jnp.zeros((len(layout.bodies), 4))
+    for value, (b, a) in zip(values, axis_indices(layout), strict=True):
+        table = table.at[b, a].set(value)
+    return table

@@ -1,0 +1,103 @@
+"""Loads and pushes that come from weight, ground and surroundings. `law(c[k, sites], step) -> push[b, 4]`."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from simgap.effects.effect import (
+    Constant,
+    Effect,
+    Scales,
+    Site,
+    Step,
+    axis_sites,
+    body_sites,
+    mounted,
+    on_axes,
+    turning,
+)
+from simgap.effects.resistance import speed
+from simgap.layout import YAW, Layout, X, Y, Z
+
+
+def _lifted(layout: Layout) -> list[int]:
+    """Mounted bodies that can sink."""
+    return [b for b in mounted(layout) if layout.velocity[b, Z] >= 0]
+
+
+def _distance(xy: Float[Array, " 2"]) -> Float[Array, ""]:
+    return jnp.sqrt(xy @ xy + 1e-8)
+
+
+def _sag(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c r along z, r the horizontal reach."""
+    out = jnp.zeros_like(step.now.velocity)
+    for k, b in enumerate(_lifted(step.layout)):
+        out = out.at[b, Z].add(-c[0, k] * _distance(step.now.position[b, :2]))
+    return out
+
+
+def _payload(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
+    """From the onset c_2 on: -c_0 (u - v), the memory of the hand's own velocity; and -c_1 along z."""
+    out = jnp.zeros_like(step.now.velocity)
+    for k, b in enumerate(_lifted(step.layout)):
+        on = jnp.clip((step.row.time_s - c[2, k]) / step.scales.time_step, 0.0, 1.0)
+        driven = step.layout.command[b]
+        u = jnp.where(driven >= 0, step.command[jnp.maximum(driven, 0)], step.now.velocity[b])
+        out = out.at[b].add(-on * c[0, k] * (u - step.now.velocity[b]))
+        out = out.at[b, Z].add(-on * c[1, k])
+    return out
+
+
+def _slope(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
+    """|v_xy| R(heading)^T (c_0, c_1): a pull in a fixed world direction in proportion to walking."""
+    out = jnp.zeros_like(step.now.velocity)
+    for k, b in enumerate(turning(step.layout)):
+        angle = step.now.heading[b]
+        x = jnp.cos(angle) * c[0, k] + jnp.sin(angle) * c[1, k]
+        y = -jnp.sin(angle) * c[0, k] + jnp.cos(angle) * c[1, k]
+        out = out.at[b, :2].add(speed(step.now.velocity[b]) * jnp.stack([x, y]))
+    return out
+
+
+def _bias(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """c, in the body's own frame."""
+    return on_axes(step.layout, c[0])
+
+
+def _fraction_of_command(fraction: float):
+    return lambda scales, site: [[fraction * max(float(scales.axis_command[site]), 1e-3)]]
+
+
+def _onsets(scales: Scales, site: int) -> list[list[float]]:
+    return [[0.2, 0.05, share * scales.duration] for share in (0.1, 0.3, 0.5, 0.7, 0.9)]
+
+
+def _lifted_sites(axes: tuple[int, ...]):
+    return lambda layout: body_sites(layout, _lifted(layout), axes)
+
+
+def _ground_sites(layout: Layout) -> tuple[Site, ...]:
+    return body_sites(layout, turning(layout), (X, Y))
+
+
+EFFECTS = (
+    Effect(
+        "gravity_sag", "push", (Constant("sink per reach", "1/s", low=0.0),), _lifted_sites((Z,)),
+        lambda scales, site: [[0.05]], _sag, "{where} sinks under its own weight, by {sink per reach} of its reach",
+    ),
+    Effect(
+        "payload", "push",
+        (Constant("added memory", "-", low=0.0, high=0.95), Constant("sink", "m/s", low=0.0), Constant("onset", "s", low=0.0, shapes=True)),
+        _lifted_sites((X, Y, Z, YAW)), _onsets, _payload,
+        "from {onset} on {where} carries a load: it answers slower (memory {added memory}) and sinks by {sink}",
+    ),
+    Effect(
+        "slope", "push", (Constant("pull x", "-", low=-1.0, high=1.0), Constant("pull y", "-", low=-1.0, high=1.0)), _ground_sites,
+        lambda scales, site: [[0.05, 0.05]], _slope,
+        "the ground under {where} is tilted: it pulls by ({pull x}, {pull y}) of the walking speed",
+    ),
+    Effect(
+        "body_frame_bias", "push", (Constant("drift", "{u}"),), axis_sites, _fraction_of_command(0.05), _bias,
+        "{where} drifts by {drift} in the robot's own frame",
+    ),
+)  # fmt: skip

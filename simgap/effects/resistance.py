@@ -1,0 +1,91 @@
+"""Resistances: pushes against a body's own motion. `law(c[k, sites], step) -> push[b, 4]`, in the command's unit."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from simgap.effects.effect import Constant, Effect, Scales, Step, axis_sites, body_sites, on_axes, turning
+from simgap.layout import YAW, X, Y
+
+STICK = 0.05
+"""Share of an axis' usual speed below which friction fades, for a law with a slope everywhere."""
+
+
+def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c sign(v), fading at rest."""
+    slow = STICK * step.scales.speed + 1e-6
+    return -on_axes(step.layout, c[0]) * jnp.tanh(step.now.velocity / slow)
+
+
+def _viscous(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c v."""
+    return -on_axes(step.layout, c[0]) * step.now.velocity
+
+
+def _quadratic(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c v |v|."""
+    return -on_axes(step.layout, c[0]) * step.now.velocity * jnp.abs(step.now.velocity)
+
+
+def _slip_turning(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c |w| v along x and y."""
+    out = jnp.zeros_like(step.now.velocity)
+    for k, b in enumerate(turning(step.layout)):
+        v = step.now.velocity[b]
+        out = out.at[b, :2].add(-c[0, k] * jnp.abs(v[YAW]) * v[:2])
+    return out
+
+
+def _slip_walking(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c |v_xy| w."""
+    out = jnp.zeros_like(step.now.velocity)
+    for k, b in enumerate(turning(step.layout)):
+        v = step.now.velocity[b]
+        out = out.at[b, YAW].add(-c[0, k] * speed(v) * v[YAW])
+    return out
+
+
+def speed(v: Float[Array, " 4"]) -> Float[Array, ""]:
+    """Horizontal speed, with a gradient at rest."""
+    return jnp.sqrt(v[X] ** 2 + v[Y] ** 2 + 1e-8)
+
+
+def _bodies(axes: tuple[int, ...]):
+    return lambda layout: body_sites(layout, turning(layout), axes)
+
+
+def _small(fraction: float, power: int):
+    """A resistance of a fraction of the axis' usual speed, at that speed."""
+
+    def starts(scales: Scales, site: int) -> list[list[float]]:
+        usual = max(float(scales.axis_speed[site]), 1e-3)
+        force = max(float(scales.axis_command[site]), 1e-3)
+        return [[fraction * force / usual**power]]
+
+    return starts
+
+
+EFFECTS = (
+    Effect(
+        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0),), axis_sites, _small(0.1, 0), _coulomb,
+        "a constant resistance of {loss} works against the motion of {where}", tie="same_unit",
+    ),
+    Effect(
+        "viscous_drag", "push", (Constant("coefficient", "-", low=0.0),), axis_sites, _small(0.1, 1), _viscous,
+        "a resistance of {coefficient} times its speed works against the motion of {where}", tie="any",
+    ),
+    Effect(
+        "quadratic_drag", "push", (Constant("coefficient", "s/m", low=0.0),), axis_sites, _small(0.1, 2), _quadratic,
+        "a resistance of {coefficient} times the square of its speed works against the motion of {where}",
+        tie="same_unit",
+    ),
+    Effect(
+        "slip", "push", (Constant("loss", "per rad/s", low=0.0),), _bodies((X, Y)),
+        lambda scales, site: [[0.1]], _slip_turning,
+        "the feet of {where} lose ground when it turns: {loss} of the speed", form="turning",
+    ),
+    Effect(
+        "slip", "push", (Constant("loss", "per m/s", low=0.0),), _bodies((YAW,)),
+        lambda scales, site: [[0.1]], _slip_walking,
+        "the feet of {where} lose grip on a turn when it walks fast: {loss} of the yaw rate", form="walking",
+    ),
+)  # fmt: skip

@@ -1,0 +1,63 @@
+"""What the sensors make of the state. `law(c[k, sites], state, past_states, layout) -> measured`."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Site
+from simgap.layout import Layout
+
+
+def _output_sites(layout: Layout) -> tuple[Site, ...]:
+    return tuple(Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit) for f in layout.schema.state)
+
+
+def _sensors(layout: Layout) -> list[tuple[str, list[int]]]:
+    """Outputs that one sensor is likely to give: a body's pose, a body's velocities, or one output by itself."""
+    groups: dict[str, list[int]] = {}
+    for i, f in enumerate(layout.schema.state):
+        what = "velocity" if f.kind == "velocity" else "pose"
+        groups.setdefault(f"{f.body} {what}" if f.body else f.name, []).append(i)
+    return list(groups.items())
+
+
+def _sensor_sites(layout: Layout) -> tuple[Site, ...]:
+    names = [f.name for f in layout.schema.state]
+    return tuple(Site(group, (), tuple(names[i] for i in members), "sensors", "s") for group, members in _sensors(layout))
+
+
+def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], layout: Layout) -> Array:
+    """The state c rows ago, between two rows in proportion."""
+    delay = jnp.zeros(len(layout.schema.state))
+    for k, (_, members) in enumerate(_sensors(layout)):
+        delay = delay.at[jnp.array(members)].set(c[0, k])
+    states = jnp.concatenate([state[None], past])
+    rows = jnp.arange(len(states))[:, None]
+    return (jnp.maximum(0.0, 1 - jnp.abs(rows - delay)) * states).sum(0)
+
+
+def _scale(c: Float[Array, "1 s"], state: Array, past: Array, layout: Layout) -> Array:
+    """(1 + c) y."""
+    return state * (1 + c[0])
+
+
+def _bias(c: Float[Array, "1 s"], state: Array, past: Array, layout: Layout) -> Array:
+    """y + c."""
+    return state + c[0]
+
+
+EFFECTS = (
+    Effect(
+        "sensor_delay", "sensing",
+        (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(SENSED_ROWS)),),
+        _sensor_sites, lambda scales, site: [[0.5], [1.5]], _delay,
+        "the measured {where} is {delay} older than its time stamp", tie="any",
+    ),
+    Effect(
+        "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), _output_sites,
+        lambda scales, site: [[0.05]], _scale, "the measured {where} is scaled by {scale}", tie="any",
+    ),
+    Effect(
+        "sensor_bias", "sensing", (Constant("bias", "{u}"),), _output_sites,
+        lambda scales, site: [[0.05 * float(scales.output[site])]], _bias, "the measured {where} is off by {bias}",
+    ),
+)  # fmt: skip

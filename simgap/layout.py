@@ -1,0 +1,187 @@
+"""The geometry a simulator declares: which command drives which velocity of which body, and how bodies are mounted.
+
+Motion is read and pushes are written in each body's own frame, on the axes x, y, z and yaw: a law of friction is then
+the same three characters for a one-axis drive and for a hand on a walking robot.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.types import Schema
+
+AXES = ("x", "y", "z", "yaw")
+X, Y, Z, YAW = range(4)
+
+
+class Motion(NamedTuple):
+    """How the bodies move, each in its own frame; zero where the schema has no such field.
+
+    velocity: relative to the carrier where there is one [m/s, m/s, m/s, rad/s]. position: from the carrier's origin,
+    z above the ground [m]. heading: of the body's own frame in the world [rad].
+    """
+
+    velocity: Float[Array, "b 4"]
+    position: Float[Array, "b 3"]
+    heading: Float[Array, " b"]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which column is what, for a schema.
+
+    `position`, `velocity` [s index] and `command` [u index] are tables of bodies x `AXES`, -1 where there is none.
+    """
+
+    schema: Schema
+
+    @cached_property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies, in the order of their first state column."""
+        return tuple(dict.fromkeys(f.body for f in self.schema.state if f.body))
+
+    @cached_property
+    def position(self) -> np.ndarray:
+        return self._table([(i, f) for i, f in enumerate(self.schema.state) if f.kind in ("position", "angle")])
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        return self._table([(i, f) for i, f in enumerate(self.schema.state) if f.kind == "velocity"])
+
+    @cached_property
+    def command(self) -> np.ndarray:
+        """Commands that drive an axis: velocities and forces."""
+        return self._table([(i, f) for i, f in enumerate(self.schema.command) if f.kind in ("velocity", "force")])
+
+    @cached_property
+    def carrier(self) -> tuple[int | None, ...]:
+        """Index of the body that each body is mounted on."""
+        mounts = dict(self.schema.mounts)
+        return tuple(self.bodies.index(mounts[b]) if b in mounts else None for b in self.bodies)
+
+    @cached_property
+    def heading(self) -> tuple[int | None, ...]:
+        """State index of the yaw that turns each body's frame: its carrier's, or its own."""
+        own = [int(i) if i >= 0 else None for i in self.position[:, YAW]]
+        return tuple(own[b] if c is None else own[c] for b, c in enumerate(self.carrier))
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Which states are angles."""
+        return np.array([f.kind == "angle" for f in self.schema.state])
+
+    @cached_property
+    def integrates(self) -> np.ndarray:
+        """For each state the index of the velocity whose integral it is, -1 where there is none."""
+        table = np.full(len(self.schema.state), -1)
+        known = (self.position >= 0) & (self.velocity >= 0)
+        table[self.position[known]] = self.velocity[known]
+        return table
+
+    def _table(self, fields: list) -> np.ndarray:
+        table = np.full((len(self.bodies), 4), -1)
+        for i, f in fields:
+            if f.body in self.bodies and f.axis:
+                table[self.bodies.index(f.body), AXES.index(f.axis)] = i
+        return table
+
+    def outputs(self, body: int, axes: tuple[int, ...] = (X, Y, Z, YAW)) -> tuple[str, ...]:
+        """Names of the velocities of a body along some axes; its positions where it has no velocity there."""
+        rows = [self.velocity[body, a] if self.velocity[body, a] >= 0 else self.position[body, a] for a in axes]
+        return tuple(self.schema.state[i].name for i in rows if i >= 0)
+
+    def drives(self, body: int, axis: int) -> bool:
+        """Whether a push on the body along the axis can act at all."""
+        return bool(max(self.command[body, axis], self.velocity[body, axis], self.position[body, axis]) >= 0)
+
+
+def _turn(xy: Float[Array, " 2"], angle: Float[Array, ""]) -> Float[Array, " 2"]:
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * xy[0] - s * xy[1], s * xy[0] + c * xy[1]])
+
+
+def _take(values: Float[Array, " n"], indices: np.ndarray) -> Float[Array, " k"]:
+    return jnp.where(indices >= 0, values[np.maximum(indices, 0)], 0.0)
+
+
+def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
+    """The bodies' motion in their own frames."""
+    velocities, positions, headings, worlds, places = [], [], [], [], []
+    for b, heading in enumerate(layout.heading):
+        angle = jnp.zeros(()) if heading is None else state[heading]
+        v, p = _take(state, layout.velocity[b]), _take(state, layout.position[b])[:3]
+        in_world = layout.velocity[b, X] < 0 or layout.schema.state[layout.velocity[b, X]].frame == "world"
+        own = v[:2] if not in_world else _turn(v[:2], -angle)
+        headings.append(angle)
+        worlds.append(_turn(own, angle))
+        places.append(p)
+        carrier = layout.carrier[b]
+        if carrier is None:
+            velocities.append(jnp.concatenate([own, v[2:]]))
+            positions.append(jnp.stack([jnp.zeros(()), jnp.zeros(()), p[2]]))
+        else:
+            arm = p[:2] - places[carrier][:2]
+            omega = velocities[carrier][YAW]
+            moved = worlds[carrier] + omega * jnp.stack([-arm[1], arm[0]])
+            velocities.append(jnp.concatenate([_turn(worlds[b] - moved, -angle), v[2:]]))
+            positions.append(jnp.concatenate([_turn(arm, -angle), p[2:3]]))
+    return Motion(jnp.stack(velocities), jnp.stack(positions), jnp.stack(headings))
+
+
+def carried_velocity(layout: Layout, state: Float[Array, " s"], moving: Float[Array, " s"]) -> Float[Array, " s"]:
+    """What the carriers' motion contributes to the mounted bodies' velocities (world frame), zero elsewhere.
+
+    Positions and headings are `state`'s, velocities those of `moving`.
+    """
+    out = jnp.zeros_like(state)
+    for b, carrier in enumerate(layout.carrier):
+        if carrier is None:
+            continue
+        p, q = _take(state, layout.position[b]), _take(state, layout.position[carrier])
+        v = _take(moving, layout.velocity[carrier])
+        arm = p[:2] - q[:2]
+        xy = v[:2] + v[YAW] * jnp.stack([-arm[1], arm[0]])
+        for axis in (X, Y):
+            if layout.velocity[b, axis] >= 0:
+                out = out.at[int(layout.velocity[b, axis])].set(xy[axis])
+    return out
+
+
+def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"]) -> Float[Array, " s"]:
+    """The state with each body's horizontal world-frame velocity turned by `angle` [rad]."""
+    for b in range(len(layout.bodies)):
+        ix, iy = (int(i) for i in layout.velocity[b, :2])
+        if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
+            xy = _turn(jnp.stack([state[ix], state[iy]]), angle[b])
+            state = state.at[ix].set(xy[0]).at[iy].set(xy[1])
+    return state
+
+
+def push(
+    layout: Layout, heading: Float[Array, " b"], delta: Float[Array, "b 4"]
+) -> tuple[Float[Array, " u"], Float[Array, " s"], Float[Array, " s"]]:
+    """A push on each body, in its own frame, as additions to the command, to the velocities and to position rates.
+
+    Where a command drives the axis the push enters there, in the command's unit, so that the simulator's own dynamics
+    act on it; else it is added to the velocity of every step, or to the rate of a position without velocity.
+    """
+    n_state = len(layout.schema.state)
+    u, v, p = jnp.zeros(len(layout.schema.command)), jnp.zeros(n_state), jnp.zeros(n_state)
+    for b in range(len(layout.bodies)):
+        driven, has_velocity = layout.command[b] >= 0, layout.velocity[b] >= 0
+        for axis in range(4):
+            if driven[axis]:
+                u = u.at[int(layout.command[b, axis])].add(delta[b, axis])
+        rest = jnp.where(driven, 0.0, delta[b])
+        in_world = has_velocity[X] and layout.schema.state[layout.velocity[b, X]].frame == "world"
+        world = jnp.concatenate([_turn(rest[:2], heading[b]), rest[2:]])
+        for axis in range(4):
+            if has_velocity[axis]:
+                v = v.at[int(layout.velocity[b, axis])].add(world[axis] if in_world else rest[axis])
+            elif layout.position[b, axis] >= 0:
+                p = p.at[int(layout.position[b, axis])].add(world[axis])
+    return u, v, p

@@ -1,0 +1,72 @@
+"""Recordings with a planted truth: the augmented simulator itself, teleoperated, with process and sensor noise."""
+
+from collections.abc import Mapping
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Augmented, Slot, advance, remember, sense
+from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.robots import operator
+from simgap.simulators.spot import Spot
+from simgap.types import Recording
+
+SPOT = Augmented(Spot())
+PHI = np.array([0.5, 0.5, 0.5, 0.08, 0.08, 0.3, *[0.0] * 12, *[1.0] * 6], np.float32)
+PROCESS = np.array([0.0, 0.0, 0.0, 0.012, 0.012, 0.015, 0.0, 0.0, 0.0, 0.02, 0.02, 0.02])
+SENSOR = np.array([0.002, 0.002, 0.003, 0.012, 0.012, 0.015, 0.003, 0.003, 0.003, 0.02, 0.02, 0.02])
+HEIGHTS = np.tile(np.linspace(0.2, 0.95, 21), (2, 1))
+SCALES = Scales(
+    command=np.array([1.0, 0.7, 1.0, 0.6, 0.6, 0.6]), command_step=np.full(6, 0.15), speed=np.full((2, 4), 0.8),
+    axis_speed=np.full(6, 0.8), axis_command=np.full(6, 0.8), reach=np.tile(np.linspace(0.5, 1.2, 21), (2, 1)),
+    height=HEIGHTS, interval=np.full(12, 1 / 15), output=np.ones(12), duration=40.0, time_step=1 / 15,
+)  # fmt: skip
+
+
+def theta(constants: Mapping[tuple[str, int, int], float]) -> np.ndarray:
+    """Internal constants from {(effect key, constant, site): value}."""
+    keys = [effect.key for effect in CATALOGUE]
+    out = np.zeros(len(SPOT.slots), np.float32)
+    for (key, k, site), value in constants.items():
+        out[SPOT.index[Slot(keys.index(key), k, site)]] = value
+    return out
+
+
+@partial(jax.jit, static_argnames="rows")
+def _run(key, theta, phi, noise, rows):
+    config = operator.OperatorConfig()
+    key_start, key = jax.random.split(key)
+    pose = jnp.array([2.0, 2.0, 3.0]) * jax.random.uniform(key_start, (3,), minval=-1)
+    hand = jnp.array([0.8, 0.0, 0.6])
+    c, s = jnp.cos(pose[2]), jnp.sin(pose[2])
+    p = jnp.array([pose[0] + c * hand[0], pose[1] + s * hand[0], hand[2]])
+    state = jnp.concatenate([pose, jnp.zeros(3), p, jnp.zeros(3)])
+    scales = jax.tree.map(jnp.asarray, SCALES)
+
+    def row(carry, now):
+        state, memory, op = carry
+        key, time_s = now
+        k1, k2, k3 = jax.random.split(key, 3)
+        measured = sense(SPOT, theta, memory, state) + noise * jnp.array(SENSOR) * jax.random.normal(k1, (12,))
+        measured = measured.at[2].set(jnp.arctan2(jnp.sin(measured[2]), jnp.cos(measured[2])))
+        op, u = operator.step(op, measured, k2, 1 / 15, config)
+        memory, state = advance(SPOT, phi, theta, scales, memory, state, u, Row(time_s, jnp.ones(())))
+        state = state + noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
+        return (state, memory, op), (measured, u)
+
+    start = (state, remember(SPOT, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())), operator.init())
+    times = jnp.arange(rows) / 15
+    return jax.lax.scan(row, start, (jax.random.split(key, rows), times))[1]
+
+
+def recordings(constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI) -> list[Recording]:
+    """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise."""
+    out = []
+    for s in range(sessions):
+        key = jax.random.fold_in(jax.random.key(seed), s)
+        y, u = _run(key, jnp.asarray(theta(constants)), jnp.asarray(phi), noise, rows)
+        out.append(Recording(f"s{s}", np.arange(rows) / 15, np.asarray(y, np.float64), np.asarray(u, np.float64)))
+    return out
