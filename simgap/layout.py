@@ -76,11 +76,18 @@ class Layout:
 
     @cached_property
     def integrates(self) -> np.ndarray:
-        """For each state the index of the velocity whose integral it is, -1 where there is none."""
+        """For each state the index of the velocity whose integral it is in the same frame, -1 where there is none."""
         table = np.full(len(self.schema.state), -1)
-        known = (self.position >= 0) & (self.velocity >= 0)
-        table[self.position[known]] = self.velocity[known]
+        for p, v in zip(self.position.flat, self.velocity.flat, strict=True):
+            if p >= 0 and v >= 0 and self._same_frame(int(p), int(v)):
+                table[p] = v
         return table
+
+    def _same_frame(self, p: int, v: int) -> bool:
+        """About the vertical, and without a heading, all frames are one."""
+        position, velocity = self.schema.state[p], self.schema.state[v]
+        body = self.bodies.index(position.body)
+        return position.frame == velocity.frame or position.axis in ("yaw", "z") or self.heading[body] is None
 
     def _table(self, fields: list) -> np.ndarray:
         table = np.full((len(self.bodies), 4), -1)
@@ -129,6 +136,8 @@ def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
             moved = worlds[carrier] + omega * jnp.stack([-arm[1], arm[0]])
             velocities.append(jnp.concatenate([_turn(worlds[b] - moved, -angle), v[2:]]))
             positions.append(jnp.concatenate([_turn(arm, -angle), p[2:3]]))
+    if not layout.bodies:
+        return Motion(jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros(0))
     return Motion(jnp.stack(velocities), jnp.stack(positions), jnp.stack(headings))
 
 

@@ -59,7 +59,7 @@ def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members
 
 def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int, ...]]]:
     """Single sites, sites of one family, and all sites; those that share a constant must share its unit if it has one."""
-    found = {(s,): site.name for s, site in enumerate(sites)}
+    found: dict[tuple[int, ...], str] = {(s,): site.name for s, site in enumerate(sites)}
     if effect.tie != "never":
         families = dict.fromkeys(site.family for site in sites)
         sets = [(f, tuple(s for s, site in enumerate(sites) if site.family == f)) for f in families]

@@ -8,7 +8,7 @@ import numpy as np
 
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales, axis_indices
-from simgap.layout import YAW, motion
+from simgap.layout import motion
 from simgap.types import Recording
 
 QUANTILES = np.linspace(0, 1, 21)
@@ -17,7 +17,7 @@ TINY = 1e-6
 
 def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
     """Scales of all sessions together."""
-    layout, schema = augmented.layout, augmented.simulator.schema
+    layout = augmented.layout
     states = np.concatenate([r.state for r in recordings])
     commands = np.concatenate([r.command for r in recordings])
     changes = np.abs(np.concatenate([np.diff(r.command, axis=0) for r in recordings]))
@@ -56,12 +56,10 @@ def _intervals(augmented: Augmented, recordings: Sequence[Recording]) -> np.ndar
     for i, v in enumerate(layout.integrates):
         if v < 0:
             continue
-        in_world = schema.state[v].frame == "world" or layout.heading[0] is None or schema.state[i].axis == YAW
         moved = np.concatenate([np.diff(r.state[:, i]) for r in recordings])
         moved = np.arctan2(np.sin(moved), np.cos(moved)) if schema.state[i].kind == "angle" else moved
         velocity = np.concatenate([r.state[1:, v] for r in recordings])
         power = velocity @ velocity
-        # A body-frame velocity is not the rate of a world-frame position: the nominal time step stands.
-        if in_world and power > TINY:
+        if power > TINY:
             out[i] = moved @ velocity / power
     return out

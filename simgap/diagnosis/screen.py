@@ -45,7 +45,7 @@ class Screening(NamedTuple):
     threshold: float  # of the statistic, at `level`
 
 
-def _vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Variables:
+def vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Variables:
     """v with the candidate's constants set."""
     theta, gated = v.theta, v.gated
     for group, value in zip(candidate.groups, constants, strict=True):
@@ -85,17 +85,17 @@ def screen(
     # At the optimum the residual has no part in what the model can absorb; float32 leaves a trace.
     residual = fit.e.reshape(-1) * root
     residual = residual - basis @ (basis.T @ residual)
-    blocks = (_blocks(np.asarray(problem.chunks.counts)), len(fit.e))
+    cuts = (blocks(np.asarray(problem.chunks.counts)), len(fit.e))
     directions = _directions(candidates)
     low, _ = problem.augmented.bounds
 
     def batch(first: int) -> list[tuple[Screened, np.ndarray]]:
         some = directions[first : first + BATCHES[-1]]
-        vs = [_vary(fit.v, candidate, values) for candidate, values, _ in some]
+        vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
         change = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *vs)) - fit.e
         d = change.reshape(len(some), -1) * root
         d = d - (d @ basis) @ basis.T
-        tested = (_test(c, values, k, along, residual, blocks, low) for (c, values, k), along in zip(some, d, strict=True))
+        tested = (_test(c, values, k, along, residual, cuts, low) for (c, values, k), along in zip(some, d, strict=True))
         return [t for t in tested if t is not None]
 
     results = [t for part in side_by_side(batch, range(0, len(directions), BATCHES[-1])) for t in part]
@@ -113,15 +113,15 @@ def _test(
     k: int,
     direction: Float[np.ndarray, " m"],
     residual: Float[np.ndarray, " m"],
-    blocks: tuple[np.ndarray, int],
+    cuts: tuple[np.ndarray, int],
     low: Float[np.ndarray, " P"],
 ) -> tuple[Screened, Float[np.ndarray, " B"]] | None:
     """One hypothesis: how its direction and the residual go together, block by block; None where it diverges."""
     power = float(direction @ direction)
     if not np.isfinite(power):
         return None
-    by_row = (direction * residual).reshape(blocks[1], -1).sum(1)
-    score = -np.add.reduceat(by_row, blocks[0])
+    by_row = (direction * residual).reshape(cuts[1], -1).sum(1)
+    score = -np.add.reduceat(by_row, cuts[0])
     variance, total = float(score @ score), float(score.sum())
     if power < NOTHING or variance == 0:
         return Screened(candidate, values, 0.0, 0.0, 0.0), np.zeros_like(score)
@@ -134,7 +134,7 @@ def _test(
     return Screened(candidate, start, gain, statistic, 0.5 * power), score / np.sqrt(variance)
 
 
-def _blocks(counts: np.ndarray) -> np.ndarray:
+def blocks(counts: np.ndarray) -> np.ndarray:
     """Starts of the blocks among the rows that count, none across two chunks."""
     starts, total = [], 0
     for n in counts.sum(1):

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("simgap", "tasks", "flows")
 DOORS = {
     "mlflow": {"tasks/tracking.py"},
-    "matplotlib": {"tasks/plots.py"},
+    "matplotlib": {"tasks/plots.py", "tasks/diagnosis_plots.py"},
     "yaml": {"tasks/params.py", "flows/provenance.py", "flows/reproduce.py"},
 }
 

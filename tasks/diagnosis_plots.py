@@ -1,0 +1,274 @@
+"""Pictures of a diagnosis, as SVG: figures in bytes, marks for table cells as strings.
+
+Equal content makes equal bytes. A figure's inch is 96 pixels of the page, which is 10 inches wide.
+"""
+
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_hex
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+
+Values = Mapping[str, Any]
+
+FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
+MODELS = {"as_is": "as is", "refitted": "refitted", "augmented": "with effects", "black_box": "black box"}
+COLOURS = {"as_is": "#9aa0a8", "refitted": "#d1722d", "augmented": "#1f5fa8", "black_box": "#2c9a5f"}
+INK, GREY, HELDOUT = "#1c2430", "#6b7280", "#1f5fa8"
+
+_EXCESS = LinearSegmentedColormap.from_list(
+    "excess", ["#f7f5f1", "#fbd9a5", "#ef8a43", "#bf3021", "#64101a"], bad="#e3e5e9"
+)
+_LINES = {"as_is": ("-", 1.3), "refitted": ("-", 1.3), "augmented": ("-", 1.6), "black_box": ((0, (3, 3)), 1.3)}
+_WIDTH = 10.0  # of the page [inch]
+_COLUMNS = 3
+_DOTS = 120  # measured points a panel shows
+_NAME_SHOWN = 30  # characters of a session's name beside its strip
+_OVERSHOOT = 0.8  # how far a panel follows diverging predictions, in spans of what was measured
+_LOG_RATIO = 30.0  # of scores beyond which their scale is logarithmic
+_STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "text.parse_math": False,  # names with dollars are names
+    "text.color": INK,
+    "axes.edgecolor": "#b9bec6",
+    "axes.labelcolor": GREY,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4,
+    "axes.axisbelow": True,
+    "grid.color": "#e8eaee",
+    "grid.linewidth": 0.8,
+    "xtick.color": "#b9bec6",
+    "ytick.color": "#b9bec6",
+    "xtick.labelcolor": GREY,
+    "ytick.labelcolor": GREY,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "simgap",
+}
+
+
+def shade(share: float) -> str:
+    """Colour of an excess error, from 0 (none, or less) to 1 (the top of the scale)."""
+    return to_hex(_EXCESS(min(max(share, 0.0), 1.0)))
+
+
+def top_of_scale(values: Sequence[Any], floor: float) -> float:
+    """Where the colours of excess errors end [nats a row]: nearly the greatest value, one outlier does not count."""
+    flat = np.concatenate([np.zeros(1), *(np.ravel(_numbers(v)) for v in values)])
+    return max(float(np.nanpercentile(flat, 99)), floor)
+
+
+@matplotlib.rc_context(_STYLE)
+def strips(sessions: Sequence[Values], intervals: Sequence[Values], top: float) -> bytes:
+    """A strip per session, time [s] along x, colour its excess [nats a row] up to `top`; located intervals framed."""
+    groups = [("Training sessions", False, GREY), ("Held-out sessions", True, HELDOUT)]
+    rows = [(title, colour, [s for s in sessions if bool(s["heldout"]) == held]) for title, held, colour in groups]
+    rows = [row for row in rows if row[2]]
+    lines = sum(len(members) for _, _, members in rows) + 0.9 * len(rows)
+    figure = Figure(figsize=(_WIDTH, 0.27 * lines + 0.5), layout="constrained")
+    ax = figure.add_subplot()
+    y, ticks = 0.0, {}
+    for title, colour, members in rows:
+        ax.text(0, y + 0.5, title, transform=ax.get_yaxis_transform(), color=colour, weight="bold", va="center")
+        y += 0.9
+        for strip in members:
+            ticks[y + 0.5] = (_shortened(str(strip["session"])), colour)
+            _strip(ax, strip, [i for i in intervals if i["session"] == strip["session"]], y, top)
+            y += 1
+    ax.set(ylim=(y, 0), xlabel="time [s]")
+    ax.set_yticks(list(ticks), [name for name, _ in ticks.values()])
+    for label, (_, colour) in zip(ax.get_yticklabels(), ticks.values(), strict=True):
+        label.set_color(colour)
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    return _svg(figure)
+
+
+def _strip(ax: Axes, strip: Values, intervals: Sequence[Values], y: float, top: float) -> None:
+    time, excess = _numbers(strip["time_s"]), _numbers(strip["excess"])
+    if not len(time):
+        return
+    middles = (time[1:] + time[:-1]) / 2
+    first, last = (time[0], time[-1]) if len(time) > 1 else (time[0] - 0.5, time[0] + 0.5)
+    edges = np.concatenate([[first], middles, [last]])
+    cells = np.ma.masked_invalid(excess)[None]
+    ax.pcolormesh(edges, [y + 0.14, y + 0.86], cells, cmap=_EXCESS, vmin=0, vmax=top, rasterized=True)
+    for interval in intervals:
+        corner, width = (interval["from_s"], y + 0.06), interval["to_s"] - interval["from_s"]
+        ax.add_patch(Rectangle(corner, width, 0.88, fill=False, edgecolor=INK, lw=1.3, zorder=3))
+
+
+@matplotlib.rc_context(_STYLE)
+def law(fitted: Values) -> bytes:
+    """The law of an effect as a line over the data it explains, dots with their errors."""
+    figure = Figure(figsize=(4.5, 2.7), layout="constrained")
+    ax = figure.add_subplot()
+    x, y = _numbers(fitted["x"]), _numbers(fitted["y"])
+    error = fitted.get("y_err")
+    ax.errorbar(x, y, None if error is None else _numbers(error), fmt="o", color=INK, ecolor="#a9afb8", ms=3.5, lw=1)
+    ax.plot(_numbers(fitted["line_x"]), _numbers(fitted["line_y"]), color=COLOURS["augmented"], lw=2, zorder=3)
+    ax.set(xlabel=str(fitted["x_label"]), ylabel=str(fitted["y_label"]))
+    ax.grid(True)
+    return _svg(figure)
+
+
+@matplotlib.rc_context(_STYLE)
+def rollouts(panels: Sequence[Values]) -> bytes:
+    """A panel per output of one session: dots as measured, a line per model over time [s]."""
+    columns = min(_COLUMNS, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(_WIDTH, 1.55 * rows + 0.25), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
+    for ax, panel in zip(axes, panels, strict=False):
+        _rollout(ax, panel)
+    for ax in axes[len(panels) :]:
+        ax.set_visible(False)
+    for ax in axes[max(0, len(panels) - columns) : len(panels)]:
+        ax.tick_params(labelbottom=True)
+    figure.supxlabel("time [s]", fontsize=_STYLE["font.size"], color=GREY)
+    return _svg(figure)
+
+
+def _rollout(ax: Axes, panel: Values) -> None:
+    time, measured = _numbers(panel["time_s"]), _numbers(panel["measured"])
+    shown = slice(None, None, max(1, math.ceil(len(time) / _DOTS)))
+    ax.plot(time[shown], measured[shown], ".", color=INK, ms=4.5, mew=0, alpha=0.75)
+    extent = [measured]
+    for model, (style, width) in _LINES.items():
+        if panel.get(model) is not None:
+            line = _broken(_numbers(panel[model]), panel["unit"])
+            ax.plot(time, line, color=COLOURS[model], ls=style, lw=width)
+            extent.append(line)
+    low, high = _limits(measured, np.concatenate(extent))
+    ax.set_ylim(low, high)
+    ax.set_title(f"{panel['output']} [{panel['unit']}]")
+    ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    ax.grid(True)
+
+
+def _broken(line: Float[np.ndarray, " T"], unit: str) -> Float[np.ndarray, " T"]:
+    """An angle's line, without the strokes across the panel where the angle wraps."""
+    if unit != "rad" or len(line) < 2:
+        return line
+    return np.where(np.abs(np.diff(line, prepend=line[0])) > np.pi, np.nan, line)
+
+
+def _limits(measured: Float[np.ndarray, " T"], drawn: Float[np.ndarray, " k"]) -> tuple[float, float]:
+    """Limits of a panel: all that is drawn, but for what leaves the measured range by far."""
+    measured, drawn = measured[np.isfinite(measured)], drawn[np.isfinite(drawn)]
+    if not len(measured):
+        return (0.0, 1.0)
+    low, high = float(measured.min()), float(measured.max())
+    span = high - low or abs(high) or 1.0
+    low, high = max(float(drawn.min()), low - _OVERSHOOT * span), min(float(drawn.max()), high + _OVERSHOOT * span)
+    margin = 0.06 * (high - low or span)
+    return low - margin, high + margin
+
+
+@matplotlib.rc_context(_STYLE)
+def commands(experiment: Values) -> bytes:
+    """The commands of an experiment over time [s]: a row per channel that moves, all to their own scale."""
+    time = _numbers(experiment["time_s"])
+    moving = moving_channels(experiment)
+    figure = Figure(figsize=(_WIDTH, 0.85 * len(moving) + 0.45), layout="constrained")
+    axes = figure.subplots(len(moving), 1, squeeze=False, sharex=True).ravel()
+    for ax, name in zip(axes, moving, strict=True):
+        values = _numbers(experiment["channels"][name])
+        ax.fill_between(time, values, step="post", color=COLOURS["augmented"], alpha=0.12, lw=0)
+        ax.step(time, values, where="post", color=COLOURS["augmented"], lw=1.4)
+        ax.axhline(0, color="#b9bec6", lw=0.8, zorder=0)
+        ax.set_title(f"{name} [{experiment['units'].get(name, '-')}]")
+        ax.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
+        ax.margins(x=0, y=0.12)
+        ax.grid(True)
+    axes[-1].set_xlabel("time [s]")
+    return _svg(figure)
+
+
+def moving_channels(experiment: Values) -> list[str]:
+    """Channels of an experiment that are commanded at all."""
+    return [name for name, values in experiment["channels"].items() if np.any(_numbers(values) != 0)]
+
+
+def whiskers(points: Sequence[tuple[str, float, tuple[float, float] | None]]) -> str:
+    """A mark per (colour, value, interval), one below the other to a common scale, for a table cell.
+
+    Where the scale is logarithmic it says so.
+    """
+    width, step = 210, 9
+    ends = [e for _, value, interval in points for e in (value, *(interval or ())) if math.isfinite(e)]
+    low, high = min(ends), max(ends)
+    wide = low > 0 and high > _LOG_RATIO * low
+    place = _scale(low, high, width, wide)
+    corner = f'x="{width}" y="{len(points) * step}" text-anchor="end"'
+    marks = [f'<text {corner} font-size="10" fill="{GREY}">log</text>'] if wide else []
+    for k, (colour, value, interval) in enumerate(points):
+        y = (k + 0.5) * step + 1
+        marks.append(f'<line x1="0" x2="{width}" y1="{y}" y2="{y}" stroke="#eceef1"/>')
+        if interval is not None:
+            a, b = (place(e) for e in interval)
+            marks.append(f'<line x1="{a:.1f}" x2="{b:.1f}" y1="{y}" y2="{y}" stroke="{colour}" stroke-width="2"/>')
+        marks.append(f'<circle cx="{place(value):.1f}" cy="{y}" r="3.5" fill="{colour}"/>')
+    return _inline(width, len(points) * step + 2, marks)
+
+
+def range_bar(
+    before: float | None, after: float, interval: tuple[float, float] | None, limits: tuple[float, float]
+) -> str:
+    """A parameter in its plausible range: a grey tick where it was, a dot with its interval where it is now."""
+    width, y = 100, 8
+    known = [v for v in (before, after) if v is not None]
+    place = _scale(min(limits[0], *known, after), max(limits[1], *known, after), width)
+    a, b = place(limits[0]), place(limits[1])
+    colour = COLOURS["augmented"]
+    marks = [f'<rect x="{a:.1f}" width="{max(b - a, 1):.1f}" y="{y - 3}" height="6" rx="3" fill="#e8eaee"/>']
+    if before is not None:
+        x = place(before)
+        marks.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="1" y2="15" stroke="#7d848e" stroke-width="2"/>')
+    if interval is not None:
+        low, high = (min(max(place(e), 0), width) for e in interval)
+        marks.append(f'<line x1="{low:.1f}" x2="{high:.1f}" y1="{y}" y2="{y}" stroke="{colour}" stroke-width="2.5"/>')
+    marks.append(f'<circle cx="{place(after):.1f}" cy="{y}" r="3.5" fill="{colour}"/>')
+    return _inline(width, 16, marks)
+
+
+def _scale(low: float, high: float, width: float, logarithmic: bool = False) -> Callable[[float], float]:
+    """A function from values in [low, high] to pixels, with room for the marks at both ends."""
+    if logarithmic:
+        linear = _scale(math.log(low), math.log(high), width)
+        return lambda value: linear(math.log(value))
+    span = high - low or 1.0
+    return lambda value: 5 + (width - 10) * (value - low) / span
+
+
+def _inline(width: float, height: float, marks: Sequence[str]) -> str:
+    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
+    return f'<svg {size} aria-hidden="true">{"".join(marks)}</svg>'
+
+
+def _numbers(values: Any) -> Float[np.ndarray, " ..."]:
+    return np.asarray(values, dtype=float)
+
+
+def _shortened(name: str) -> str:
+    return name if len(name) <= _NAME_SHOWN else f"…{name[1 - _NAME_SHOWN :]}"
+
+
+def _svg(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(buffer, format="svg", dpi=200, transparent=True, metadata=metadata)
+    # Letters stay letters, in the page's own fonts; DejaVu, which comes with matplotlib, only measures them.
+    return buffer.getvalue().replace(b"'DejaVu Sans'", FONTS.encode())
