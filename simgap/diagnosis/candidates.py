@@ -7,7 +7,7 @@ import numpy as np
 from simgap.diagnosis.fit import Group
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
-from simgap.effects.effect import Effect, Scales, Site
+from simgap.effects.effect import Constant, Effect, Scales, Site
 
 
 class Candidate(NamedTuple):
@@ -40,9 +40,7 @@ def candidates(augmented: Augmented, scales: Scales) -> list[Candidate]:
 
 def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:
     effect, sites = CATALOGUE[e], augmented.sites[e]
-    groups = tuple(
-        Group(tuple(augmented.index[Slot(e, k, s)] for s in members)) for k in range(len(effect.constants))
-    )
+    groups = tuple(Group(tuple(augmented.index[Slot(e, k, s)] for s in members)) for k in range(len(effect.constants)))
     low, high = augmented.bounds
     starts = []
     # Sites that share a constant are searched at the start of the one with the greatest range.
@@ -57,8 +55,14 @@ def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members
     )  # fmt: skip
 
 
+def unit_of(augmented: Augmented, candidate: Candidate, constant: Constant) -> str:
+    """The unit of a candidate's constant where it acts."""
+    site = augmented.sites[CATALOGUE.index(candidate.effect)][candidate.sites[0]]
+    return constant.unit.replace("{u}", site.unit)
+
+
 def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int, ...]]]:
-    """Single sites, sites of one family, and all sites; those that share a constant must share its unit if it has one."""
+    """Single sites, sites of one family, and all sites; sharing a constant takes a shared unit, if it has one."""
     found: dict[tuple[int, ...], str] = {(s,): site.name for s, site in enumerate(sites)}
     if effect.tie != "never":
         families = dict.fromkeys(site.family for site in sites)
@@ -67,8 +71,8 @@ def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int,
             sets.append(("all", tuple(range(len(sites)))))
         for name, members in sets:
             units = dict.fromkeys(sites[s].unit for s in members)
-            split = [members] if effect.tie == "any" else [tuple(s for s in members if sites[s].unit == u) for u in units]
-            for part in split:
+            alike = [tuple(s for s in members if sites[s].unit == u) for u in units]
+            for part in [members] if effect.tie == "any" else alike:
                 label = name if len(part) == len(members) else ", ".join(sites[s].name for s in part)
                 found.setdefault(part, label)
     return [(where, members) for members, where in found.items() if members]

@@ -113,7 +113,9 @@ def start(problem: Problem) -> Variables:
     """Nominal parameters, equal trust in prediction and measurement, no effect."""
     phi = [p.nominal if p.nominal is not None else (p.low + p.high) / 2 for p in problem.augmented.simulator.parameters]
     zero = jnp.zeros(len(problem.augmented.slots))
-    return Variables(jnp.asarray(phi, jnp.float32), jnp.zeros(len(problem.augmented.simulator.schema.state)), zero, zero)
+    return Variables(
+        jnp.asarray(phi, jnp.float32), jnp.zeros(len(problem.augmented.simulator.schema.state)), zero, zero
+    )
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:

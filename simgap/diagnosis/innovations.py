@@ -78,19 +78,28 @@ def cut(recordings: Sequence[Recording], time_step: float) -> Chunks:
     while len(parts) % PAD:
         *arrays, counted, gate, s, start = parts[0]
         parts.append((*arrays, np.zeros_like(counted), gate, s, start))
+    return as_chunks(parts)
+
+
+def as_chunks(parts: Sequence[tuple]) -> Chunks:
+    """Chunks from their fields, one tuple a chunk."""
     *arrays, session, row = (np.stack(a) for a in zip(*parts, strict=True))
     as_float = [jnp.asarray(a if a.dtype == bool else np.asarray(a, np.float32)) for a in arrays]
     return Chunks(*as_float, session=session, row=row)
 
 
-def wrap(augmented: Augmented, difference: Float[Array, "... s"]) -> Float[Array, "... s"]:
+def bare(chunks: Chunks) -> Chunks:
+    """Chunks without where they come from, which is no array of JAX's, for `vmap` over chunks."""
+    nothing = jnp.zeros(len(chunks.state))
+    return chunks._replace(session=nothing, row=nothing)
+
+
+def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
     """Differences of states with those of angles in (-pi, pi]."""
     return jnp.where(augmented.layout.angles, jnp.arctan2(jnp.sin(difference), jnp.cos(difference)), difference)
 
 
-def _chunk(
-    augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks
-) -> Float[Array, "T-1 s"]:
+def _chunk(augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks) -> Float[Array, "T-1 s"]:
     """Innovations of one chunk (without its leading axis C)."""
     gain = jax.nn.sigmoid(v.gain)
     at_start = v.theta + chunk.gate[0] * v.gated
@@ -110,8 +119,7 @@ def _chunk(
 
 
 def _all(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
-    arrays = chunks._replace(session=jnp.zeros(len(chunks.state)), row=jnp.zeros(len(chunks.state)))
-    e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, chunk))(arrays)
+    e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, chunk))(bare(chunks))
     return jnp.where(chunks.counts[..., None], e, 0.0)
 
 
@@ -122,9 +130,7 @@ def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chun
 
 
 @partial(jax.jit, static_argnames="augmented")
-def innovations_of(
-    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks
-) -> Float[Array, "M C T-1 s"]:
+def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "M C T-1 s"]:
     """The same for M values of all variables side by side (leading axis M in `v` only)."""
     return jax.vmap(lambda v: _all(augmented, scales, v, chunks))(v)
 

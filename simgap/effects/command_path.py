@@ -135,44 +135,45 @@ EFFECTS = (
         "delay", "command",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(HISTORY_ROWS)),),
         channel_sites, _fixed(0.5, 1.0, 2.0, 3.5), _delay,
-        "the commands {where} act {delay} after they are sent (dead time)", tie="any",
+        "dead time: commands act {delay} after they are sent", tie="any",
     ),
     Effect(
-        "quantization", "command", (Constant("step", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.2, 0.4, 0.7),
-        _quantization, "the commands {where} are followed in steps of {step}", tie="same_unit",
+        "quantization", "command", (Constant("step", "{u}", low=0.0),), channel_sites,
+        _fractions(*np.geomspace(0.06, 0.9, 24)), _quantization,
+        "commands are followed in steps of {step}", tie="same_unit", jagged=True,
     ),
     Effect(
         "deadband", "command", (Constant("width", "{u}", low=0.0),), channel_sites, _fractions(0.05, 0.15, 0.35),
-        _deadband, "commands {where} below {width} do nothing", tie="same_unit",
+        _deadband, "dead band: commands below {width} do nothing", tie="same_unit",
     ),
     Effect(
         "backlash", "filter", (Constant("gap", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.3, 0.7),
-        _backlash, "after a reversal the output of {where} waits until a play of {gap} is crossed", tie="same_unit",
+        _backlash, "play: after a reversal the motion waits until a gap of {gap} is crossed", tie="same_unit",
     ),
     Effect(
         "gain", "command", (Constant("gain", "-", lambda c, site, scales: 1 + c, -0.95, 2.0),), channel_sites,
-        _fixed(-0.15), _gain, "the robot follows the commands {where} by a factor of {gain}", tie="any",
+        _fixed(-0.15), _gain, "commands are followed by a factor of {gain}", tie="any",
     ),
     Effect(
         "asymmetric_gain", "command", (Constant("ratio", "-", lambda c, site, scales: 1 - c, -2.0, 0.95),),
         channel_sites, _fixed(0.15), _asymmetric_gain,
-        "negative commands {where} are followed by {ratio} times what positive ones are", tie="any",
+        "negative commands are followed by only {ratio} of what positive ones are", tie="any",
     ),
     Effect(
         "gain_drift", "command", (Constant("change", "1/min", low=-1.0, high=1.0),), channel_sites, _fixed(-0.1),
-        _gain_drift, "the response to {where} changes by {change} of itself over a session", tie="any",
+        _gain_drift, "the response to commands drifts by {change} of itself over a session", tie="any",
     ),
     Effect(
         "cross_axis_coupling", "command", (Constant("ratio", "-", low=-1.5, high=1.5),), _pair_sites, _fixed(0.1),
-        _cross_axis, "{where} leaks by {ratio}",
+        _cross_axis, "one axis leaks into another by a ratio of {ratio}",
     ),
     Effect(
         "frame_misalignment", "command", (Constant("angle", "rad", low=-1.6, high=1.6),), _planar_sites, _fixed(0.1),
-        _misalignment, "the command frame of {where} is turned by {angle} against the assumed one", tie="any",
+        _misalignment, "the command frame is turned by {angle} against the assumed one", tie="any",
     ),
     Effect(
         "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0),), channel_sites,
-        _reciprocals(0.95, 0.8, 0.6, 0.35), _saturation, "commands {where} beyond {limit} have no further effect",
+        _reciprocals(0.95, 0.8, 0.6, 0.35), _saturation, "saturation: commands beyond {limit} have no further effect",
         tie="same_unit",
     ),
     Effect(
@@ -180,14 +181,14 @@ EFFECTS = (
         (Constant("limit", "{u}/s", lambda c, site, scales: 1 / (c * scales.time_step) if c else np.inf, 0.0),),
         channel_sites,
         lambda scales, site: [[1 / max(f * float(scales.command_step[site]), 1e-6)] for f in (0.9, 0.6, 0.35, 0.15)],
-        _rate_limit, "the robot follows the commands {where} no faster than {limit}", tie="same_unit",
+        _rate_limit, "commands are followed no faster than {limit}", tie="same_unit",
     ),
     Effect(
         "lag", "filter",
         (Constant("time constant", "s", lambda c, site, scales: -scales.time_step / np.log(c) if c > 0 else 0.0, 0.0,
                   0.97),),
         channel_sites, _fixed(0.2, 0.5, 0.8), _lag,
-        "a further first-order response of time constant {time constant} lies between {where} and the motion",
+        "lag: a further first-order response with time constant {time constant} lies between command and motion",
         tie="any",
     ),
 )  # fmt: skip

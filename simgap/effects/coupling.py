@@ -109,35 +109,35 @@ _RATIO = (Constant("ratio", "-", low=-1.5, high=1.5),)
 EFFECTS = (
     Effect(
         "arm_base_coupling", "push", _RATIO, _carrier_sites((X, Y)), lambda scales, site: [[0.1]], _arm_acceleration,
-        "moving the arm pushes the base back ({where}): by {ratio} of the arm's acceleration", form="acceleration",
+        "reaction: accelerating the arm pushes the base back, by {ratio} of the arm's acceleration", form="acceleration",
     ),
     Effect(
         "arm_base_coupling", "push", _RATIO, _carrier_sites((X, Y)), lambda scales, site: [[0.1]], _arm_velocity,
-        "moving the arm pushes the base back ({where}): by {ratio} of the arm's velocity", form="velocity",
+        "reaction: moving the arm pushes the base back, by {ratio} of the arm's velocity", form="velocity",
     ),
     Effect(
         "arm_base_coupling", "push", (Constant("ratio", "rad/m^2", low=-5.0, high=5.0),), _carrier_sites((YAW,)),
         lambda scales, site: [[0.1]], _arm_moment,
-        "moving the arm turns the base ({where}): by {ratio} of the moment of the arm's acceleration", form="moment",
+        "reaction: moving the arm turns the base, by {ratio} of the moment of the arm's acceleration", form="moment",
     ),
     Effect(
         "base_arm_coupling", "push", _RATIO, _mounted_sites, lambda scales, site: [[0.1]], _base_acceleration,
-        "accelerating the base drags {where} beyond rigid motion, by {ratio} of the acceleration",
+        "accelerating the base drags the arm beyond rigid motion, by {ratio} of the acceleration",
     ),
     Effect(
         "induced_velocity", "push", (Constant("share", "-", low=-1.5, high=1.5),), _with_turning_carrier,
         lambda scales, site: [[0.2]], _induced,
-        "turning the base carries {where} along, by {share} more of yaw rate times reach than simulated",
+        "turning the base carries the arm along, by {share} more of yaw rate times reach than simulated",
     ),
     Effect(
         "centripetal", "push", (Constant("coefficient", "s", low=-1.0, high=1.0),), _with_turning_carrier,
         lambda scales, site: [[0.05]], _centripetal,
-        "turning throws {where} outwards: {coefficient} times the squared yaw rate times its reach",
+        "turning throws the arm outwards: {coefficient} times the squared yaw rate times its reach",
     ),
     Effect(
         "rotation_centre", "push",
         (Constant("offset x", "m", low=-1.0, high=1.0), Constant("offset y", "m", low=-1.0, high=1.0)), _turning_sites,
         lambda scales, site: [[0.05, 0.05]], _rotation_centre,
-        "{where} turns about a point {offset x} ahead and {offset y} to the left of its origin",
+        "the base turns about a point {offset x} ahead and {offset y} to the left of its origin",
     ),
 )  # fmt: skip

@@ -95,8 +95,9 @@ class Effect:
 
     id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
     site): internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants
-    ("never"; "same_unit": alike axes; "any"). law: see the module of its place. says: one sentence for people with
-    {where} and the constants' names to fill in.
+    ("never"; "same_unit": alike axes; "any"). jagged: the likelihood has many summits along the
+    constant. law: see the module of its place. says: a sentence for people, with
+    the constants' names to fill in.
     """
 
     id: str
@@ -107,6 +108,7 @@ class Effect:
     law: Callable[..., Any]
     says: str
     form: str = ""
+    jagged: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
 
     @property

@@ -83,21 +83,21 @@ def _ground_sites(layout: Layout) -> tuple[Site, ...]:
 EFFECTS = (
     Effect(
         "gravity_sag", "push", (Constant("sink per reach", "1/s", low=0.0),), _lifted_sites((Z,)),
-        lambda scales, site: [[0.05]], _sag, "{where} sinks under its own weight, by {sink per reach} of its reach",
+        lambda scales, site: [[0.05]], _sag, "the arm sags under its own weight: it sinks by {sink per reach} times its reach",
     ),
     Effect(
         "payload", "push",
         (Constant("added memory", "-", low=0.0, high=0.95), Constant("sink", "m/s", low=0.0), Constant("onset", "s", low=0.0, shapes=True)),
         _lifted_sites((X, Y, Z, YAW)), _onsets, _payload,
-        "from {onset} on {where} carries a load: it answers slower (memory {added memory}) and sinks by {sink}",
+        "payload: from {onset} on a load is carried; the motion answers slower (added memory {added memory}) and sinks by {sink}",
     ),
     Effect(
         "slope", "push", (Constant("pull x", "-", low=-1.0, high=1.0), Constant("pull y", "-", low=-1.0, high=1.0)), _ground_sites,
         lambda scales, site: [[0.05, 0.05]], _slope,
-        "the ground under {where} is tilted: it pulls by ({pull x}, {pull y}) of the walking speed",
+        "tilted ground pulls by ({pull x}, {pull y}) of the walking speed in the world's x and y",
     ),
     Effect(
         "body_frame_bias", "push", (Constant("drift", "{u}"),), axis_sites, _fraction_of_command(0.05), _bias,
-        "{where} drifts by {drift} in the robot's own frame",
+        "a steady drift of {drift} in the robot's own frame",
     ),
 )  # fmt: skip

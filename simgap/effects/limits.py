@@ -82,16 +82,16 @@ EFFECTS = (
     Effect(
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
         lambda layout: body_sites(layout, _reaching(layout), (X, Y)), _reaches, _outward(2),
-        "beyond a horizontal reach of {reach} {where} cannot follow outward commands", form="horizontal",
+        "reach limit: beyond a horizontal reach of {reach} the arm cannot follow outward commands", form="horizontal",
     ),
     Effect(
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
         lambda layout: body_sites(layout, _reaching(layout), (X, Y, Z)),
         lambda scales, site: [[0.8 * c[0]] for c in _reaches(scales, site)], _outward(3),
-        "beyond {reach} from its carrier's origin {where} cannot follow outward commands", form="spherical",
+        "reach limit: beyond {reach} from its carrier's origin the arm cannot follow outward commands", form="spherical",
     ),
     Effect(
         "ground_contact", "after", (Constant("height", "m", _height, 0.0),), _floored_sites, _heights, _contact,
-        "{where} cannot go below a height of {height}",
+        "ground contact: no motion below a height of {height}",
     ),
 )  # fmt: skip

@@ -67,25 +67,25 @@ def _small(fraction: float, power: int):
 EFFECTS = (
     Effect(
         "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0),), axis_sites, _small(0.1, 0), _coulomb,
-        "a constant resistance of {loss} works against the motion of {where}", tie="same_unit",
+        "dry friction: a constant resistance of {loss} works against the motion", tie="same_unit",
     ),
     Effect(
         "viscous_drag", "push", (Constant("coefficient", "-", low=0.0),), axis_sites, _small(0.1, 1), _viscous,
-        "a resistance of {coefficient} times its speed works against the motion of {where}", tie="any",
+        "viscous drag: a resistance of {coefficient} times the speed works against the motion", tie="any",
     ),
     Effect(
         "quadratic_drag", "push", (Constant("coefficient", "s/m", low=0.0),), axis_sites, _small(0.1, 2), _quadratic,
-        "a resistance of {coefficient} times the square of its speed works against the motion of {where}",
+        "drag grows with the square of the speed, with coefficient {coefficient}",
         tie="same_unit",
     ),
     Effect(
         "slip", "push", (Constant("loss", "per rad/s", low=0.0),), _bodies((X, Y)),
         lambda scales, site: [[0.1]], _slip_turning,
-        "the feet of {where} lose ground when it turns: {loss} of the speed", form="turning",
+        "slip: the feet lose ground when turning, {loss} of the speed", form="turning",
     ),
     Effect(
         "slip", "push", (Constant("loss", "per m/s", low=0.0),), _bodies((YAW,)),
         lambda scales, site: [[0.1]], _slip_walking,
-        "the feet of {where} lose grip on a turn when it walks fast: {loss} of the yaw rate", form="walking",
+        "slip: turning loses grip when walking fast, {loss} of the yaw rate", form="walking",
     ),
 )  # fmt: skip

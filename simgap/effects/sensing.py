@@ -50,14 +50,14 @@ EFFECTS = (
         "sensor_delay", "sensing",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(SENSED_ROWS)),),
         _sensor_sites, lambda scales, site: [[0.5], [1.5]], _delay,
-        "the measured {where} is {delay} older than its time stamp", tie="any",
+        "measurements are {delay} older than their time stamp", tie="any",
     ),
     Effect(
         "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), _output_sites,
-        lambda scales, site: [[0.05]], _scale, "the measured {where} is scaled by {scale}", tie="any",
+        lambda scales, site: [[0.05]], _scale, "a measured output is scaled by {scale}", tie="any",
     ),
     Effect(
         "sensor_bias", "sensing", (Constant("bias", "{u}"),), _output_sites,
-        lambda scales, site: [[0.05 * float(scales.output[site])]], _bias, "the measured {where} is off by {bias}",
+        lambda scales, site: [[0.05 * float(scales.output[site])]], _bias, "a measured output is off by {bias}",
     ),
 )  # fmt: skip

@@ -91,18 +91,18 @@ EFFECTS = (
     Effect(
         "relative_smoothing", "before", (Constant("share", "-", low=-0.5, high=1.5),),
         lambda layout: body_sites(layout, mounted(layout), (X, Y)), lambda scales, site: [[0.5]], _own_motion,
-        "the velocity memory of {where} acts on its own motion alone, to a share of {share}, not on what its carrier adds",
+        "the velocity memory acts on the arm's own motion, to a share of {share}, not on what its carrier adds",
         form="own_motion",
     ),
     Effect(
         "relative_smoothing", "before", (Constant("share", "-", low=-0.5, high=1.5),),
         lambda layout: body_sites(layout, _rotating(layout), (X, Y)), lambda scales, site: [[0.5]], _body_frame,
-        "the velocity memory of {where} turns with the body, to a share of {share}", form="body_frame", tie="any",
+        "the velocity memory turns with the body, to a share of {share}", form="body_frame", tie="any",
     ),
     Effect(
         "integration_rule", "after", (Constant("weight", "-", low=-1.0, high=1.5),), _integrated_sites,
         lambda scales, site: [[0.3]], _integration_rule,
-        "{where} advances by the old velocity to a share of {weight}", tie="any",
+        "positions advance by the old velocity to a share of {weight}", tie="any",
     ),
     Effect(
         "sampling_interval", "after",

@@ -1,0 +1,173 @@
+"""A black box on top of the refitted simulator: what anything could remove that depends on state and commands.
+
+Ridge regression of the innovations on random Fourier features [Rahimi & Recht 2007] of the bodies' own motion and the
+last commands, in each body's own frame. It names nothing; it measures how much there is to be named, and bears
+witness where the vocabulary has no word.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from simgap.diagnosis.innovations import Chunks, bare
+from simgap.effects.augmented import Augmented
+from simgap.layout import Layout, X, Y, motion
+
+COMMANDS = 4
+"""Rows of commands it sees: the present one and those before."""
+FEATURES = 300
+RIDGES = (1e-1, 1e0, 1e1, 1e2, 1e3)
+WIDTHS = (4.0, 10.0)
+"""Widths of the kernel, in standard deviations of the inputs."""
+FOLDS = 4
+
+
+class BlackBox(NamedTuple):
+    """Weights of the regression, with the standardisation of its inputs."""
+
+    mean: Float[Array, " d"]
+    std: Float[Array, " d"]
+    omega: Float[Array, "d f"]
+    phase: Float[Array, " f"]
+    weights: Float[Array, "k s"]
+
+
+def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
+    """What the black box sees; the state itself where the schema declares no bodies."""
+    own = motion(layout, state)
+    parts = [own.velocity.ravel(), own.position.ravel()] if layout.bodies else [state]
+    loose = jnp.array([i for i, f in enumerate(layout.schema.state) if layout.bodies and not f.body], int)
+    return jnp.concatenate([*parts, state[loose], commands[:COMMANDS].ravel()])
+
+
+def input_names(layout: Layout) -> list[str]:
+    """What each input of the black box is called."""
+    names = [
+        f"{b} {q}" for b in layout.bodies for q in ("forward speed", "sideways speed", "vertical speed", "yaw rate")
+    ]
+    names += [f"{b} {q}" for b in layout.bodies for q in ("ahead", "to the left", "height")]
+    names += [f.name for f in layout.schema.state if not f.body]
+    commands = layout.schema.command
+    return names + [f.name + (f" {k} rows before" if k else "") for k in range(COMMANDS) for f in commands]
+
+
+def rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
+    """World-frame horizontal pairs (velocities, positions) turned by sign times the heading of their body."""
+    for b, heading in enumerate(layout.heading):
+        if heading is None:
+            continue
+        c, s = jnp.cos(sign * state[heading]), jnp.sin(sign * state[heading])
+        for table in (layout.velocity, layout.position):
+            ix, iy = (int(i) for i in table[b, [X, Y]])
+            if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
+                x, y = vector[ix], vector[iy]
+                vector = vector.at[ix].set(c * x - s * y).at[iy].set(s * x + c * y)
+    return vector
+
+
+def _features(box: BlackBox, z: Float[Array, " d"]) -> Float[Array, " k"]:
+    z = jnp.clip((z - box.mean) / box.std, -5, 5)
+    wave = jnp.cos(z @ box.omega + box.phase) * np.sqrt(2 / FEATURES)
+    return jnp.concatenate([jnp.ones(1), z / 3, wave])
+
+
+def correct(
+    layout: Layout, box: BlackBox, state: Float[Array, " s"], commands: Float[Array, "k u"]
+) -> Float[Array, " s"]:
+    """What the box adds to the next state."""
+    return rotated(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state, 1.0)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def _design(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"]) -> tuple[Array, Array]:
+    """Inputs and own-frame innovations of every row of the chunks."""
+    layout = augmented.layout
+
+    def of_chunk(chunk: Chunks, e: Array) -> tuple[Array, Array]:
+        sent = jnp.concatenate([chunk.past[::-1][-COMMANDS:], chunk.command[:-1]])
+        last = jnp.stack([sent[COMMANDS - k : len(sent) - k] for k in range(COMMANDS)], axis=1)
+        z = jax.vmap(lambda s, u: inputs(layout, s, u))(chunk.state[:-1], last)
+        return z, jax.vmap(lambda v, s: rotated(layout, v, s, -1.0))(e, chunk.state[:-1])
+
+    return jax.vmap(of_chunk)(bare(chunks), e)
+
+
+def design(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"]) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
+    counts = np.asarray(chunks.counts)
+    z, target = _design(augmented, chunks, e)
+    return np.asarray(z)[counts], np.asarray(target)[counts]
+
+
+def train(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"], rng: np.random.Generator) -> BlackBox:
+    """Ridge and kernel width by cross-validation over blocks of chunks, innovations clipped to 4 standard deviations."""
+    z, target = design(augmented, chunks, e)
+    scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
+    target = np.clip(target / scale, -4, 4)
+    counts = np.asarray(chunks.counts)
+    fold = np.repeat(np.arange(len(counts)) * FOLDS // len(counts), counts.sum(1))
+    std = z.std(0)
+    best: tuple[float, BlackBox | None, float] = (np.inf, None, RIDGES[-1])
+    for width in WIDTHS:
+        box = BlackBox(
+            jnp.asarray(z.mean(0)), jnp.asarray(np.where(std > 1e-6, std, 1.0)),
+            jnp.asarray(rng.normal(size=(z.shape[1], FEATURES)) / width, jnp.float32),
+            jnp.asarray(rng.uniform(0, 2 * np.pi, FEATURES), jnp.float32), jnp.zeros((0, 0)),
+        )  # fmt: skip
+        features = np.asarray(jax.vmap(lambda r, box=box: _features(box, r))(jnp.asarray(z)), np.float64)
+        errors = _cross_validated(features, target, fold)
+        ridge = min(errors, key=lambda r: errors[r])
+        if errors[ridge] < best[0]:
+            weights = _solve(features.T @ features, features.T @ target, ridge) * scale
+            best = (errors[ridge], box._replace(weights=jnp.asarray(weights, jnp.float32)), ridge)
+    assert best[1] is not None  # an error is always finite
+    return best[1]
+
+
+def _solve(gram: np.ndarray, moment: np.ndarray, ridge: float) -> np.ndarray:
+    return np.linalg.solve(gram + ridge * np.eye(len(gram)), moment)
+
+
+def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndarray, " n"]) -> dict[float, float]:
+    """Squared error on the folds left out, per ridge."""
+    parts = [(features[fold == k], target[fold == k]) for k in np.unique(fold)]
+    grams, moments = [f.T @ f for f, _ in parts], [f.T @ t for f, t in parts]
+    gram, moment = sum(grams), sum(moments)
+    return {
+        ridge: sum(
+            float(((t - f @ _solve(gram - g, moment - m, ridge)) ** 2).sum())
+            for (f, t), g, m in zip(parts, grams, moments, strict=True)
+        )
+        for ridge in RIDGES
+    }
+
+
+def predicted(augmented: Augmented, box: BlackBox, chunks: Chunks) -> Float[Array, "C t s"]:
+    """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
+    counts = np.asarray(chunks.counts)
+    z, _ = _design(augmented, chunks, jnp.zeros((*counts.shape, box.weights.shape[1])))
+    own = jax.vmap(jax.vmap(lambda r: _features(box, r) @ box.weights))(z)
+    turn = jax.vmap(jax.vmap(lambda v, s: rotated(augmented.layout, v, s, 1.0)))
+    return jnp.where(counts[..., None], turn(own, chunks.state[:, :-1]), 0.0)
+
+
+def dependence(
+    augmented: Augmented, box: BlackBox, chunks: Chunks, e: Float[Array, "C t s"], rng: np.random.Generator
+) -> list[tuple[str, float]]:
+    """Inputs by how much of the explained error goes when they are shuffled, greatest first: [(name, share)]."""
+    z, target = design(augmented, chunks, e)
+    predict = jax.jit(lambda z: jax.vmap(lambda r: _features(box, r))(z) @ box.weights)
+    scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
+    loss = lambda z: float((np.clip((target - np.asarray(predict(jnp.asarray(z)))) / scale, -4, 4) ** 2).sum())  # noqa: E731
+    with_all = loss(z)
+    explained = float((np.clip(target / scale, -4, 4) ** 2).sum()) - with_all
+    shares = []
+    for i, name in enumerate(input_names(augmented.layout)):
+        shuffled = z.copy()
+        shuffled[:, i] = rng.permutation(z[:, i])
+        shares.append((name, max(loss(shuffled) - with_all, 0.0) / max(explained, 1e-9)))
+    return sorted(shares, key=lambda s: -s[1])

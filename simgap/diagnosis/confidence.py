@@ -1,0 +1,55 @@
+"""How sure the fitted constants are: a covariance that does not trust the noise to be independent."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.candidates import Candidate, unit_of
+from simgap.diagnosis.fit import Fit, Problem, constant_columns, directions, weights
+from simgap.diagnosis.screen import blocks
+
+Z95 = 1.96
+
+
+class Spread(NamedTuple):
+    """Standard deviations of phi and of the effects' constants (internal), in the order of the fit's groups."""
+
+    phi: Float[np.ndarray, " p"]
+    constants: Float[np.ndarray, " k"]
+
+
+def spread(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"]) -> Spread:
+    """The larger of the likelihood's own and the sandwich covariance over blocks of rows [White 1982]."""
+    columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
+    _, precision = directions(problem, fit.groups)
+    w = weights(fit.e, fit.noise).astype(np.float64)
+    weighted = columns * w
+    flat = columns.reshape(len(columns), -1).astype(np.float64)
+    hessian = weighted.reshape(len(columns), -1) @ flat.T + np.diag(precision)
+    inverse = np.linalg.pinv(hessian, hermitian=True)
+    rows = (weighted * fit.e).sum(-1)
+    score = np.add.reduceat(rows, blocks(np.asarray(problem.chunks.counts)), axis=1)
+    sandwich = inverse @ (score @ score.T) @ inverse
+    sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
+    parameters = problem.augmented.simulator.parameters
+    ranges = np.array([p.high - p.low or 1.0 for p in parameters])
+    return Spread(sd[: len(parameters)] * ranges, sd[len(nuisance) :])
+
+
+def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> list[dict]:
+    """The effect's physical constants with units and 95 % intervals."""
+    found = []
+    low, high = problem.augmented.bounds
+    for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
+        values = fit.v.gated if group.gated else fit.v.theta
+        c = float(values[group.entries[0]])
+        width = Z95 * float(sd.constants[fit.groups.index(group)])
+        bounds = (float(low[group.entries[0]]), float(high[group.entries[0]]))
+        physical = [
+            float(constant.physical(float(np.clip(x, *bounds)), candidate.sites[0], problem.scales))
+            for x in (c, c - width, c + width)
+        ]
+        unit = unit_of(problem.augmented, candidate, constant)
+        found.append({"name": constant.name, "value": physical[0], "unit": unit, "ci95": sorted(physical[1:])})
+    return found

@@ -1,0 +1,67 @@
+"""Predictions over many steps, from an estimate of the state that measurements corrected up to the start."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.diagnosis.innovations import RUN_IN, WARM, Chunks, Variables, as_chunks, bare, wrap
+from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
+from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.types import Recording
+
+Correction = Callable[[Any, Float[Array, " s"], Float[Array, "k u"]], Float[Array, " s"]]
+"""`correction(constants, state, commands)`: what is added to the next state; commands[k] was sent k rows ago."""
+
+
+def uncorrected(_: Any, state: Float[Array, " s"], __: Float[Array, "k u"]) -> Float[Array, " s"]:
+    """The simulator alone."""
+    return jnp.zeros_like(state)
+
+
+def windows(recordings: Sequence[Recording], time_step: float, horizon: int, stride: int) -> Chunks | None:
+    """Pieces of RUN_IN + horizon + 1 rows, every `stride` rows; None where all sessions are too short for one."""
+    rows = RUN_IN + horizon + 1
+    parts: list[tuple] = []
+    for s, r in enumerate(recordings):
+        interval = np.append(np.diff(r.time_s) / time_step, 1.0)
+        for first in range(0, len(r.time_s) - rows + 1, stride):
+            index = np.arange(first, first + rows)
+            before = np.maximum(first - 1 - np.arange(HISTORY_ROWS + WARM), 0)
+            parts.append((r.state[index], r.command[index], r.command[before], r.time_s[index] - r.time_s[0],
+                          interval[index], np.ones(rows - 1, bool), np.ones(rows), s, first))  # fmt: skip
+    return as_chunks(parts) if parts else None
+
+
+@partial(jax.jit, static_argnames=("augmented", "correction"))
+def forecast(
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, correction: Correction, constants: Any
+) -> Float[Array, "W h s"]:
+    """Predicted measurements of the rows after each piece's run-in, never corrected again."""
+    gain = jax.nn.sigmoid(v.gain)
+
+    def one(chunk: Chunks) -> Float[Array, "h s"]:
+        first = unsense(augmented, v.theta, chunk.state[0])
+        memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0])
+
+        def row(carry, now):
+            memory, x = carry
+            y_next, u, time_s, interval, gate, trust = now
+            theta = v.theta + gate * v.gated
+            sent = jnp.concatenate([u[None], memory.commands])
+            added = correction(constants, x, sent)
+            memory, x = advance(augmented, v.phi, theta, scales, memory, x, u, Row(time_s, interval))
+            x = x + added
+            seen = sense(augmented, theta, memory, x)
+            return (memory, x + trust * gain * wrap(augmented, y_next - seen)), seen
+
+        steps = len(chunk.state) - 1
+        trust = (jnp.arange(steps) < RUN_IN).astype(jnp.float32)
+        rows = (chunk.state[1:], chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:-1], trust)
+        return jax.lax.scan(row, (memory, first), rows)[1][RUN_IN:]
+
+    return jax.vmap(one)(bare(pieces))

@@ -1,0 +1,156 @@
+"""Does it help? Errors on sessions that took no part, for the simulator as it is, refitted, augmented, and a black box.
+
+Intervals are a bootstrap over pieces of the held-out sessions (whole sessions where there are five or more).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis import black_box
+from simgap.diagnosis.black_box import BlackBox
+from simgap.diagnosis.fit import Noise, Problem, fit_noise, log_density
+from simgap.diagnosis.forecast import forecast, uncorrected, windows
+from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, wrap
+from simgap.layout import Layout, X, Y, Z
+from simgap.types import Recording
+
+HORIZONS = (1, 10, 50)
+STRIDE = 5
+DRAWS = 1000
+LEAST_SESSIONS = 5
+
+
+class Contestant(NamedTuple):
+    """A model to be judged: its variables, and what a black box adds."""
+
+    v: Variables
+    box: BlackBox | None = None
+
+
+class Judged(NamedTuple):
+    """Per piece of recording (n pieces): squared errors at the horizons, and one-step log-likelihood in nats a row.
+
+    error: measured less predicted [n, horizons, s]. nll: [n]. moved: measured change over the horizon [n, horizons, s].
+    session: of each piece.
+    """
+
+    error: Float[np.ndarray, "n h s"]
+    moved: Float[np.ndarray, "n h s"]
+    nll: Float[np.ndarray, " n"]
+    session: np.ndarray
+
+
+def judge(
+    problem: Problem, contestant: Contestant, training: Chunks | None, pieces: Chunks | None, noise: Noise | None = None
+) -> tuple[Judged | None, Noise | None]:
+    """Judge on pieces of held-out sessions; the one-step noise is fitted on pieces of training sessions first."""
+    if noise is None and training is not None:
+        first = forecasts(problem, contestant, training)[:, 0]
+        e = np.asarray(wrap(problem.augmented, _measured(training)[:, 0] - first)) @ problem.whiten.T
+        noise = fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
+    if pieces is None:
+        return None, noise
+    predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)
+    steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
+    error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))
+    start = np.asarray(pieces.state)[:, -measured.shape[1] - 1]
+    moved = np.asarray(wrap(problem.augmented, measured[:, steps] - start[:, None]))
+    nll = np.full(len(error), np.nan)
+    if noise is not None:
+        e = error[:, 0] @ problem.whiten.T
+        nll = -log_density(e, noise).sum(1) - np.linalg.slogdet(problem.whiten)[1]
+    return Judged(error, moved, nll, pieces.session), noise
+
+
+def _measured(pieces: Chunks) -> np.ndarray:
+    """Measured states after the run-in."""
+    return np.asarray(pieces.state)[:, RUN_IN + 1 :]
+
+
+@dataclass(frozen=True)
+class _Correct:
+    """A black box's correction, hashable so that it is compiled once per layout."""
+
+    layout: Layout
+
+    def __call__(self, box: Any, state: Any, commands: Any) -> Any:
+        return black_box.correct(self.layout, box, state, commands)
+
+
+def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
+    """Predicted measurements [n, horizon, s] after each piece's run-in."""
+    correction = uncorrected if contestant.box is None else _Correct(problem.augmented.layout)
+    return np.asarray(forecast(problem.augmented, problem.scales, contestant.v, pieces, correction, contestant.box))
+
+
+def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
+    """Held-out scores with 95 % intervals: nll_1, error_h (a share of the motion over h steps), metres per body."""
+    draws = resample(judged.session, rng)
+    table = {"nll_1": _interval(lambda i: float(np.nanmean(judged.nll[i])), draws)}
+    for k in range(judged.error.shape[1]):
+        table[f"error_{HORIZONS[k]}"] = _interval(partial(_share_missed, judged, k), draws)
+    last = judged.error.shape[1] - 1
+    for b, body in enumerate(layout.bodies):
+        axes = [int(i) for i in layout.position[b, [X, Y, Z]] if i >= 0]
+        if axes:
+            name = f"error_{HORIZONS[last]}_{body} [m]"
+            table[name] = _interval(partial(_distance, judged, last, axes), draws)
+    return table
+
+
+def _share_missed(judged: Judged, k: int, i: np.ndarray) -> float:
+    """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than standing still."""
+    error = (judged.error[i, k] ** 2).mean(0)
+    moved = np.maximum((judged.moved[:, k] ** 2).mean(0), 1e-12)
+    return float(np.sqrt((error / moved).mean()))
+
+
+def _distance(judged: Judged, k: int, axes: Sequence[int], i: np.ndarray) -> float:
+    """Mean distance between predicted and measured position [m]."""
+    return float(np.linalg.norm(judged.error[i, k][:, list(axes)], axis=-1).mean())
+
+
+def resample(session: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+    """Index sets: all pieces first, then bootstrap draws of sessions, or of runs of ten pieces where sessions are few."""
+    whole = len(np.unique(session)) >= LEAST_SESSIONS
+    unit = session if whole else session * 10**6 + np.arange(len(session)) // 10
+    members = [np.flatnonzero(unit == u) for u in np.unique(unit)]
+    drawn = [np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))]) for _ in range(DRAWS)]
+    return [np.arange(len(session)), *drawn]
+
+
+def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
+    values = [statistic(i) for i in draws]
+    low, high = np.nanquantile(values[1:], [0.025, 0.975])
+    return {"value": values[0], "ci95": [float(low), float(high)]}
+
+
+def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]:
+    """Mean of a's nll less b's [nats a row], paired, with its interval: above zero where b is better."""
+    return _interval(lambda i: float(np.nanmean(a.nll[i] - b.nll[i])), resample(a.session, rng))
+
+
+def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
+    """Share of the black box's gain in one-step likelihood that the named physics makes; None where it has none."""
+    if difference(refitted, box, rng)["ci95"][0] <= 0:
+        return None
+
+    def ratio(i: np.ndarray) -> float:
+        gained = (refitted.nll[i] - named.nll[i]).mean()
+        return float(gained / max((refitted.nll[i] - box.nll[i]).mean(), 1e-9))
+
+    return _interval(ratio, resample(refitted.session, rng))
+
+
+def pieces_of(recordings: Sequence[Recording], time_step: float) -> Chunks | None:
+    """Pieces for judging, with the longest horizon that at least one session allows."""
+    for horizon in sorted(HORIZONS, reverse=True):
+        found = windows(recordings, time_step, horizon, STRIDE)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,108 @@
+"""Numbers behind the pictures: an effect's law over the data it explains, its likelihood, and forecasts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from simgap.diagnosis.candidates import Candidate, unit_of
+from simgap.diagnosis.fit import Fit, Problem, counted, log_density, trials
+from simgap.diagnosis.forecast import windows
+from simgap.diagnosis.innovations import RUN_IN, Chunks, innovations
+from simgap.diagnosis.judge import Contestant, forecasts
+from simgap.diagnosis.locate import Excess
+from simgap.diagnosis.screen import vary
+from simgap.types import Recording
+
+BINS = 16
+PROFILE = 25
+SHOWN_S = 12.0
+"""Length of the rollouts that are drawn [s]."""
+
+
+def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
+    """Pictures of one effect: what it explains, against what the robot does; and how sharply its constant is told."""
+    return [*_explained(problem, fit, candidate, found), *_profile(problem, fit, candidate)]
+
+
+def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
+    """Unexplained change of the output most concerned, without the effect (dots) and as the law has it (line)."""
+    without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
+    raw = [counted(problem.chunks, innovations(problem.augmented, problem.scales, v, problem.chunks))
+           for v in (without, fit.v)]  # fmt: skip
+    law = raw[0] - raw[1]
+    noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
+    output = int(np.argmax((law**2).mean(0) / noise**2))
+    field = problem.augmented.simulator.schema.state[output]
+    best = max(range(len(found.names)), key=lambda k: _told_by(found.features[:, k], law[:, output]))
+    x, y = found.features[:, best], np.clip(raw[0][:, output], *np.quantile(raw[0][:, output], [0.002, 0.998]))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+    members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    members = [m for m in members if len(m) > 5]
+    if len(members) < 3:
+        return []
+    centre = [float(x[m].mean()) for m in members]
+    return [{
+        "effect": candidate.effect.id,
+        "title": f"What it explains of {field.name}",
+        "x_label": f"{found.names[best]} [{found.units[best]}]",
+        "y_label": f"change a row the simulator misses [{field.unit}]",
+        "x": centre, "y": [float(y[m].mean()) for m in members],
+        "y_err": [float(1.96 * y[m].std() / np.sqrt(len(m))) for m in members],
+        "line_x": centre, "line_y": [float(law[m, output].mean()) for m in members],
+        "caption": "Dots: measured, without the effect (mean and 95 % interval). Line: what the law says there.",
+    }]  # fmt: skip
+
+
+def _told_by(x: np.ndarray, y: np.ndarray) -> float:
+    """How much of y's mean changes with x."""
+    edges = np.quantile(x, np.linspace(0, 1, BINS + 1))
+    index = np.clip(np.searchsorted(edges, x) - 1, 0, BINS - 1)
+    count = np.bincount(index, minlength=BINS)
+    mean = np.bincount(index, y, minlength=BINS) / np.maximum(count, 1)
+    return float((count * mean**2).sum())
+
+
+def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
+    """Log-likelihood along the effect's first constant, all else held."""
+    group, constant = candidate.groups[0], candidate.effect.constants[0]
+    c = [float((fit.v.gated if g.gated else fit.v.theta)[g.entries[0]]) for g in candidate.groups]
+    low, high = (float(b[group.entries[0]]) for b in problem.augmented.bounds)
+    span = np.linspace(max(0.4 * c[0], low) if c[0] > 0 else max(1.6 * c[0], low),
+                       min(1.6 * c[0], high) if c[0] > 0 else min(0.4 * c[0], high), PROFILE)  # fmt: skip
+    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *[vary(fit.v, candidate, [x, *c[1:]]) for x in span]))
+    loglik = np.array([log_density(one, fit.noise).sum() for one in e])
+    x = [float(constant.physical(float(v), candidate.sites[0], problem.scales)) for v in span]
+    unit = unit_of(problem.augmented, candidate, constant)
+    keep = np.isfinite(loglik) & np.isfinite(x)
+    order = np.argsort(np.array(x)[keep])
+    return [{
+        "effect": candidate.effect.id, "title": f"How sharply the {constant.name} is told",
+        "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood less its best [nats]",
+        "x": [], "y": [], "y_err": [],
+        "line_x": np.array(x)[keep][order].tolist(), "line_y": (loglik - loglik.max())[keep][order].tolist(),
+        "caption": "All other constants held at their best.",
+    }]  # fmt: skip
+
+
+def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Contestant]) -> list[dict]:
+    """Forecasts of a stretch of one recording that no model saw, every output, by every model."""
+    steps = min(int(SHOWN_S / problem.scales.time_step), len(recording.time_s) - RUN_IN - 2)
+    pieces = windows([recording], problem.scales.time_step, steps, 1) if steps > 1 else None
+    if pieces is None:
+        return []
+    busiest = int(np.argmax(_activity(recording, pieces, steps)))
+    one = jax.tree.map(lambda a: a[busiest : busiest + 1], pieces)
+    predicted = {name: forecasts(problem, c, one)[0] for name, c in contestants.items()}
+    time = np.asarray(one.time_s)[0, RUN_IN + 1 :]
+    measured = np.asarray(one.state)[0, RUN_IN + 1 :]
+    return [
+        {"session": recording.name, "output": f.name, "unit": f.unit, "time_s": time, "measured": measured[:, i],
+         **{name: p[:, i] for name, p in predicted.items()}}
+        for i, f in enumerate(problem.augmented.simulator.schema.state)
+    ]  # fmt: skip
+
+
+def _activity(recording: Recording, pieces: Chunks, steps: int) -> list[float]:
+    """How much is commanded in each piece."""
+    size = np.abs(recording.command / np.maximum(np.abs(recording.command).max(0), 1e-9)).sum(1)
+    return [float(size[r + RUN_IN : r + RUN_IN + steps].sum()) for r in pieces.row]

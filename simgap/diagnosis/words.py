@@ -1,0 +1,75 @@
+"""A diagnosis in an engineer's words."""
+
+from typing import Any
+
+from simgap.diagnosis.candidates import Candidate
+from simgap.diagnosis.experiment import Experiment
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    return f"{value:.3g}"
+
+
+def quantity(constant: dict[str, Any]) -> str:
+    """Value and unit."""
+    unit = "" if constant["unit"] == "-" else f" {constant['unit']}"
+    return f"{number(constant['value'])}{unit}"
+
+
+def effect(candidate: Candidate, constants: list[dict[str, Any]]) -> str:
+    """One effect: its law with its constants, and where it acts."""
+    said = candidate.effect.says.format(**{c["name"]: quantity(c) for c in constants})
+    where = ", ".join(candidate.channels or candidate.outputs) or candidate.where
+    return f"{said[0].upper()}{said[1:]} ({where})."
+
+
+def experiment(designed: Experiment, ids: list[str]) -> str:
+    """What to command, and what for."""
+    return (
+        f"To tell {ids[0]} from {ids[1]}, start at rest and command {designed.words}; "
+        f"the two differ there by {designed.nats:,.0f} nats in {designed.time_s[-1]:.0f} s."
+    )
+
+
+def blind(power: float) -> str:
+    """Why an effect could not have been seen."""
+    return (
+        "the recordings hardly excite it: at a usual strength, beyond what the parameters absorb, it would change the "
+        f"likelihood by {power:.1f} nats"
+    )
+
+
+def statement(told: dict[str, Any]) -> str:
+    """The diagnosis in a few sentences."""
+    models = told["fit"]["models"]
+    lines = {
+        "nothing": "Nothing is missing: the simulator and the recordings differ by noise.",
+        "parameters_only": "No physics is missing; the simulator's parameters were off and are refitted.",
+        "unexplained": "Something is missing that the vocabulary does not explain.",
+        "missing_physics": "The simulator leaves out: " + " ".join(e["statement"] for e in told["effects"]),
+    }[told["verdict"]]
+    if told["verdict"] == "unexplained":
+        where = ", ".join(o["name"] for o in told["located"]["outputs"][:3])
+        depends = ", ".join(d["input"] for d in told["located"]["depends_on"])
+        lines += f" It shows in {where}." if where else ""
+        lines += f" It depends most on {depends}." if depends else ""
+        if told["effects"]:
+            lines += " Part of it looks like: " + " ".join(e["statement"] for e in told["effects"])
+    if told["located"]["regimes"] and told["verdict"] == "missing_physics":
+        rule = told["located"]["regimes"][0]
+        lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."
+    return lines + _improvement(models)
+
+
+def _improvement(models: dict[str, Any]) -> str:
+    if "augmented" not in models or "refitted" not in models:
+        return ""
+    before, after = models["refitted"], models["augmented"]
+    longest = max((m for m in before if m.startswith("error_") and "[" not in m), key=lambda m: int(m.split("_")[1]))
+    steps = longest.split("_")[1]
+    return (
+        f" On sessions it never saw, the error after {steps} steps goes from {before[longest]['value']:.1%} to "
+        f"{after[longest]['value']:.1%} of the motion, the one-step log-likelihood up by "
+        f"{before['nll_1']['value'] - after['nll_1']['value']:.2f} nats a row, against the refitted simulator."
+    )
