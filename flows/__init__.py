@@ -12,6 +12,8 @@ _DEFAULTS = {
     # Without a running server, a flow starts one of its own; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_LOGGING_LEVEL": "WARNING",
+    # What takes a second and more to compile is compiled once for all processes.
+    "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
     # DVC says what is stale; Prefect caches nothing.
     "PREFECT_TASKS_DEFAULT_NO_CACHE": "true",
     # No telemetry.

@@ -13,21 +13,26 @@ from tasks.workspace import Workspace
 EXPERIMENT = "model-validation"
 
 
-def store() -> tracking.Store:
+def store(experiment: str = EXPERIMENT) -> tracking.Store:
     """The project's MLflow store, or the one that MLFLOW_TRACKING_URI names; runs left open by a kill are closed."""
-    opened = tracking.open_store(Path(), EXPERIMENT, os.environ.get("MLFLOW_TRACKING_URI"))
+    opened = tracking.open_store(Path(), experiment, os.environ.get("MLFLOW_TRACKING_URI"))
     tracking.close_stale_runs(opened)
     return opened
 
 
-def tags(workspace: Workspace) -> dict[str, str]:
-    """Git commit, DVC's hash of the transitions, Prefect's flow run, source and workspace."""
+def origin() -> dict[str, str]:
+    """Git commit and Prefect's flow run."""
+    found = {"git_commit": _git_commit(), "prefect_flow_run": str(flow_run.get_id() or "")}
+    return {name: value for name, value in found.items() if value}
+
+
+def tags(workspace: Workspace, used: Path) -> dict[str, str]:
+    """The run's origin, source and workspace, and DVC's hash of what is used: the output of the stage of its name."""
     found = {
         "source": workspace.source,
         "workspace": str(workspace.root),
-        "git_commit": _git_commit(),
-        "dvc_transitions": _dvc_hash(workspace),
-        "prefect_flow_run": str(flow_run.get_id() or ""),
+        f"dvc_{used.name}": _dvc_hash(workspace.source, used),
+        **origin(),
     }
     return {name: value for name, value in found.items() if value}
 
@@ -41,11 +46,11 @@ def _git_commit() -> str:
     return f"{commit}-changed" if changed.strip() else commit
 
 
-def _dvc_hash(workspace: Workspace) -> str:
-    """DVC's hash of the transitions, where the last `dvc repro` recorded one."""
-    for lock in (Path("dvc.lock"), Path(workspace.source, "dvc.lock")):
+def _dvc_hash(source: str, used: Path) -> str:
+    """DVC's hash of a stage's output, where the last `dvc repro` recorded one."""
+    for lock in (Path("dvc.lock"), Path(source, "dvc.lock")):
         stages = (yaml.safe_load(lock.read_text()) or {}).get("stages", {}) if lock.exists() else {}
-        for out in stages.get("transitions", {}).get("outs", []):
-            if Path(out["path"]) == workspace.transitions:
+        for out in stages.get(used.name, {}).get("outs", []):
+            if Path(out["path"]) == used:
                 return out["md5"]
     return ""

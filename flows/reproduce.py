@@ -7,17 +7,18 @@ from typing import Any
 import yaml
 from prefect import flow
 
-from flows import recordings, report, score, train, transitions
+from flows import diagnose, recordings, report, score, train, transitions
 from flows.start import PARAMS, guarded
 from simgap.types import SimgapError
 from tasks import progress
+from tasks.diagnose import PAGE
 from tasks.params import Params, load_params
 from tasks.workspace import Workspace
 
 
 @flow(name="reproduce", flow_run_name="reproduce-{source}")
 def run(source: str, params: Params, root: Path) -> None:
-    """Recordings to report in the folder `root`; cells that failed are told after the report on the rest."""
+    """Recordings to report and diagnosis in the folder `root`; cells that failed are told once the rest is done."""
     recordings.run(source, params, root)
     transitions.run(source, params, root)
     failure: SimgapError | None = None
@@ -28,10 +29,13 @@ def run(source: str, params: Params, root: Path) -> None:
         progress.say(f"error: {error}\nScores and report follow for what there is.")
     score.run(source, params, root)
     report.run(source, params, root)
-    folder = Workspace(root, source).reports
+    diagnose.run(source, params, root)
+    workspace = Workspace(root, source)
     progress.say(
-        f"\nreport   {folder / 'report.md'}\nfigures  {folder}\n"
-        "MLflow   .venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db   (experiment model-validation)"
+        f"\nreport     {workspace.reports / 'report.md'}\nfigures    {workspace.reports}\n"
+        f"diagnosis  {workspace.diagnosis / PAGE}\n"
+        "MLflow     .venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db   "
+        "(experiments model-validation and diagnosis)"
     )
     if failure:
         raise failure

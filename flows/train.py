@@ -19,7 +19,7 @@ def run(source: str, params: Params, root: Path) -> None:
     """Train every cell of the grid that is not finished; a failed cell is reported at the end and loses no other."""
     workspace, cells = Workspace(root, source), train.grid(params.train)
     train.remove_stale(workspace, cells)
-    tags, store = provenance.tags(workspace), provenance.store()
+    tags, store = provenance.tags(workspace, workspace.transitions), provenance.store()
     with tracking.grid_run(store, f"grid-{source}", params.train.model_dump(), tags) as parent:
         progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
         failed = _fan_out(workspace, cells, params, train.Grid(parent, tags, fingerprint.code_digest()))

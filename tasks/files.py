@@ -477,6 +477,18 @@ def digest(paths: Sequence[Path]) -> str:
     return total.hexdigest()[:16]
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, if it is not there, and see that it can be written to; SimgapError that says why not."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError("it is not writable")
+    except OSError as error:
+        raise SimgapError(
+            f"{folder}: must be a folder that can be written to ({error}). Give another one, or mend its permissions."
+        ) from None
+
+
 def remove_folder(folder: Path) -> None:
     """Delete a folder with all that is in it, if it is there."""
     if folder.exists():

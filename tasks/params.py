@@ -77,6 +77,10 @@ class ReportParams(_Block):
     figure_dpi: Count
 
 
+class DiagnoseParams(_Block):
+    seed: int = Field(ge=0, description="Seed of what is drawn: resampled sessions, simulated data, the black box.")
+
+
 class Params(_Block):
     """The whole of params.yaml."""
 
@@ -85,6 +89,7 @@ class Params(_Block):
     train: TrainParams
     score: ScoreParams
     report: ReportParams
+    diagnose: DiagnoseParams
 
     def source(self, name: str) -> VirtualParams | FolderParams:
         """The recordings block of that name, or a ConfigError that lists those there are."""

@@ -78,8 +78,8 @@ def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def say(line: str) -> None:
-    """Print a line, above the bars if there are any."""
-    console.print(line, highlight=False, soft_wrap=True)
+    """Print a line as it is, above the bars if there are any: a unit in brackets is no style."""
+    console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def quiet_libraries() -> None:

@@ -1,4 +1,5 @@
-"""The door to MLflow: one parent run per grid, one child run per cell, in a store that survives kills and fan-out.
+"""The door to MLflow: one parent run per grid, one child run per cell, one run per diagnosis, in a store that survives
+kills and fan-out.
 
 Every call names its store and its run: no active run, which is per thread, and no global tracking URI, which MLflow
 would write into the environment. A `Store` and a `Run` are names only; they travel to other threads and processes.
@@ -28,7 +29,7 @@ from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, 
 from mlflow.exceptions import MlflowException
 from mlflow.models import Model, ModelSignature
 from mlflow.types import ColSpec, Schema
-from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID
+from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
 
 from simgap.types import SimgapError
 from tasks import pyfunc
@@ -111,6 +112,14 @@ class Run:
     def tags(self, tags: Mapping[str, str]) -> None:
         """Tags, those of the same name replaced."""
         self.store.client.log_batch(self.run_id, tags=[RunTag(key, value) for key, value in tags.items()])
+
+    def describe(self, text: str) -> None:
+        """A text for people, shown on top of the run's page."""
+        self.tags({MLFLOW_RUN_NOTE: text})
+
+    def artifact(self, path: Path) -> None:
+        """A file, kept beside the run under its name."""
+        self.store.client.log_artifact(self.run_id, str(path))
 
     def curve(self, steps: Sequence[int], metrics: Mapping[str, Sequence[float]]) -> None:
         """Training curves, as `training/<name>`: at most 100 points each, with the first, last, least and greatest."""
@@ -206,6 +215,13 @@ def grid_run(store: Store, name: str, params: Mapping[str, Any], tags: Mapping[s
 def cell_run(store: Store, parent_run_id: str, name: str, tags: Mapping[str, str]) -> Iterator[Run]:
     """The run of one cell, with a name like `sim_fsvgd-N1000-s1`."""
     with _run(store, name, {**tags, MLFLOW_PARENT_RUN_ID: parent_run_id}) as run:
+        yield run
+
+
+@contextmanager
+def diagnosis_run(store: Store, name: str, tags: Mapping[str, str]) -> Iterator[Run]:
+    """The run of one diagnosis."""
+    with _run(store, name, dict(tags)) as run:
         yield run
 
 

@@ -48,6 +48,10 @@ class Workspace:
     def reports(self) -> Path:
         return self.root / "reports" / self.source
 
+    @property
+    def diagnosis(self) -> Path:
+        return self.reports / "diagnosis"
+
     def model(self, cell: Cell) -> Path:
         return self.models / f"{cell.name}.npz"
 

@@ -36,6 +36,14 @@ class BlackBox(NamedTuple):
     weights: Float[Array, "k s"]
 
 
+def silent(layout: Layout) -> BlackBox:
+    """A box that adds nothing."""
+    d, s = len(input_names(layout)), len(layout.schema.state)
+    return BlackBox(
+        jnp.zeros(d), jnp.ones(d), jnp.zeros((d, FEATURES)), jnp.zeros(FEATURES), jnp.zeros((1 + d + FEATURES, s))
+    )
+
+
 def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
     """What the black box sees; the state itself where the schema declares no bodies."""
     own = motion(layout, state)
@@ -50,7 +58,10 @@ def input_names(layout: Layout) -> list[str]:
         f"{b} {q}" for b in layout.bodies for q in ("forward speed", "sideways speed", "vertical speed", "yaw rate")
     ]
     names += [f"{b} {q}" for b in layout.bodies for q in ("ahead", "to the left", "height")]
-    names += [f.name for f in layout.schema.state if not f.body]
+    if not layout.bodies:
+        names = [f.name for f in layout.schema.state]
+    else:
+        names += [f.name for f in layout.schema.state if not f.body]
     commands = layout.schema.command
     return names + [f.name + (f" {k} rows before" if k else "") for k in range(COMMANDS) for f in commands]
 
@@ -96,15 +107,15 @@ def _design(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"]) -> t
     return jax.vmap(of_chunk)(bare(chunks), e)
 
 
-def design(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"]) -> tuple[np.ndarray, np.ndarray]:
+def design(augmented: Augmented, chunks: Chunks, e: Float[np.ndarray, "C t s"]) -> tuple[np.ndarray, np.ndarray]:
     """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
     counts = np.asarray(chunks.counts)
-    z, target = _design(augmented, chunks, e)
+    z, target = _design(augmented, chunks, jnp.asarray(e))
     return np.asarray(z)[counts], np.asarray(target)[counts]
 
 
-def train(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"], rng: np.random.Generator) -> BlackBox:
-    """Ridge and kernel width by cross-validation over blocks of chunks, innovations clipped to 4 standard deviations."""
+def train(augmented: Augmented, chunks: Chunks, e: Float[np.ndarray, "C t s"], rng: np.random.Generator) -> BlackBox:
+    """Ridge and kernel width by cross-validation over runs of chunks; innovations are clipped to 4 sd."""
     z, target = design(augmented, chunks, e)
     scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
     target = np.clip(target / scale, -4, 4)
@@ -156,7 +167,7 @@ def predicted(augmented: Augmented, box: BlackBox, chunks: Chunks) -> Float[Arra
 
 
 def dependence(
-    augmented: Augmented, box: BlackBox, chunks: Chunks, e: Float[Array, "C t s"], rng: np.random.Generator
+    augmented: Augmented, box: BlackBox, chunks: Chunks, e: Float[np.ndarray, "C t s"], rng: np.random.Generator
 ) -> list[tuple[str, float]]:
     """Inputs by how much of the explained error goes when they are shuffled, greatest first: [(name, share)]."""
     z, target = design(augmented, chunks, e)

@@ -13,7 +13,8 @@ from simgap.effects.effect import Constant, Effect, Scales, Site
 class Candidate(NamedTuple):
     """One hypothesis: an effect at one site, or shared by several, with constants to start a search at.
 
-    groups: one per constant; starts: internal constants [k] each.
+    groups: one per constant; starts: internal constants [k] each. twin: the same constants acting everywhere, free as
+    well where the question is what changed between two sets of recordings.
     """
 
     effect: Effect
@@ -23,19 +24,31 @@ class Candidate(NamedTuple):
     outputs: tuple[str, ...]
     groups: tuple[Group, ...]
     starts: tuple[tuple[float, ...], ...]
+    twin: tuple[Group, ...] = ()
 
     @property
     def name(self) -> str:
         return f"{self.effect.key} on {self.where}"
 
 
-def candidates(augmented: Augmented, scales: Scales) -> list[Candidate]:
-    """All hypotheses of one effect."""
-    found = []
-    for e, (effect, sites) in enumerate(zip(CATALOGUE, augmented.sites, strict=True)):
-        for where, members in _tied(effect, sites):
-            found.append(_candidate(augmented, scales, e, where, members))
-    return found
+def candidates(augmented: Augmented, scales: Scales, events: bool = False) -> list[Candidate]:
+    """All hypotheses of one effect that acts throughout, or of those that act during a stretch only."""
+    return [
+        _candidate(augmented, scales, e, where, members)
+        for e, (effect, sites) in enumerate(zip(CATALOGUE, augmented.sites, strict=True))
+        if effect.event == events
+        for where, members in _tied(effect, sites)
+    ]
+
+
+def changed(candidate: Candidate) -> Candidate:
+    """The hypothesis that an effect differs where the gate is open."""
+    return gated(candidate)._replace(twin=candidate.groups)
+
+
+def gated(candidate: Candidate) -> Candidate:
+    """The same hypothesis, acting only where the gate is open."""
+    return candidate._replace(groups=tuple(g._replace(gated=True) for g in candidate.groups))
 
 
 def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:

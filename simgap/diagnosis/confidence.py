@@ -42,8 +42,8 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> l
     found = []
     low, high = problem.augmented.bounds
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
-        values = fit.v.gated if group.gated else fit.v.theta
-        c = float(values[group.entries[0]])
+        # Where the gate is open both act: what holds everywhere and what is added there.
+        c = float(fit.v.theta[group.entries[0]]) + float(fit.v.gated[group.entries[0]])
         width = Z95 * float(sd.constants[fit.groups.index(group)])
         bounds = (float(low[group.entries[0]]), float(high[group.entries[0]]))
         physical = [

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from simgap.diagnosis.black_box import silent
 from simgap.diagnosis.fit import Fit, Problem
-from simgap.diagnosis.forecast import forecast, uncorrected
+from simgap.diagnosis.forecast import forecast
 from simgap.diagnosis.innovations import RUN_IN, WARM, as_chunks
 from simgap.effects.effect import HISTORY_ROWS
 from simgap.layout import motion
@@ -47,7 +48,8 @@ def design(problem: Problem, a: Fit, b: Fit, recordings: list[Recording]) -> Exp
         for _, u in library
     ]  # fmt: skip
     pieces = as_chunks(parts)
-    seen = [np.asarray(forecast(problem.augmented, problem.scales, f.v, pieces, uncorrected, None)) for f in (a, b)]
+    box = silent(problem.augmented.layout)
+    seen = [np.asarray(forecast(problem.augmented, problem.scales, f.v, pieces, box)) for f in (a, b)]
     apart = 0.5 * (((seen[0] - seen[1]) @ problem.whiten.T / a.noise.scale) ** 2).sum((1, 2))
     apart[~_within(problem, seen[0], recordings)] = -1.0
     best = int(np.nanargmax(apart))
@@ -95,7 +97,7 @@ def _within(problem: Problem, states: Float[np.ndarray, "n t s"], recordings: li
     """Which forecasts keep the bodies' own positions in the recorded range."""
     layout = problem.augmented.layout
     if not any(c is not None for c in layout.carrier):
-        return np.isfinite(states).all((1, 2))
+        return np.asarray(np.isfinite(states).all((1, 2)))
     own = jax.jit(jax.vmap(lambda s: motion(layout, s).position))
     recorded = np.asarray(own(jnp.asarray(np.concatenate([r.state for r in recordings]), jnp.float32)))
     low, high = recorded.min(0), recorded.max(0)

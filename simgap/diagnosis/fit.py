@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln
 
-from simgap.diagnosis.innovations import Chunks, Variables, innovations, innovations_of, tangents
+from simgap.diagnosis.innovations import Chunks, Variables, innovations_of, tangents
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.types import DivergenceError
 
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
-BATCHES = (2, 4, 12)
+BATCHES = (4, 12)
 """Directions or trials are evaluated side by side in one of these numbers, each compiled once."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
@@ -97,12 +97,7 @@ def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
 
 def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: Noise | None = None) -> Fit:
     """Innovations, noise (fitted unless given) and log-likelihood at v."""
-    raw = counted(problem.chunks, innovations(problem.augmented, problem.scales, v, problem.chunks))
-    return _fit(problem, v, groups, raw, noise)
-
-
-def _fit(problem: Problem, v: Variables, groups: tuple[Group, ...], raw: np.ndarray, noise: Noise | None) -> Fit:
-    e = raw @ problem.whiten.T.astype(np.float32)
+    e = trials(problem, jax.tree.map(lambda a: a[None], v))[0]
     if not np.isfinite(e).all():
         return Fit(v, groups, e, noise or Noise(np.ones(e.shape[1]), np.ones(e.shape[1])), -np.inf)
     noise = noise or fit_noise(e)
@@ -144,6 +139,12 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
     """Derivatives of the decorrelated innovations by phi (in ranges) and gain."""
     free, _ = directions(problem, ())
     return _in_batches(problem, free, lambda d: tangents(problem.augmented, problem.scales, v, d, problem.chunks))
+
+
+def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
+    """Innovations in the outputs' own units, zero in rows that do not count."""
+    several = jax.tree.map(lambda a: jnp.repeat(a[None], BATCHES[0], 0), v)
+    return np.asarray(innovations_of(problem.augmented, problem.scales, several, problem.chunks)[0])
 
 
 def trials(problem: Problem, vs: Variables) -> Float[np.ndarray, "M n s"]:

@@ -1,26 +1,18 @@
 """Predictions over many steps, from an estimate of the state that measurements corrected up to the start."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from simgap.diagnosis.black_box import BlackBox, correct
 from simgap.diagnosis.innovations import RUN_IN, WARM, Chunks, Variables, as_chunks, bare, wrap
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
 from simgap.types import Recording
-
-Correction = Callable[[Any, Float[Array, " s"], Float[Array, "k u"]], Float[Array, " s"]]
-"""`correction(constants, state, commands)`: what is added to the next state; commands[k] was sent k rows ago."""
-
-
-def uncorrected(_: Any, state: Float[Array, " s"], __: Float[Array, "k u"]) -> Float[Array, " s"]:
-    """The simulator alone."""
-    return jnp.zeros_like(state)
 
 
 def windows(recordings: Sequence[Recording], time_step: float, horizon: int, stride: int) -> Chunks | None:
@@ -37,11 +29,11 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
     return as_chunks(parts) if parts else None
 
 
-@partial(jax.jit, static_argnames=("augmented", "correction"))
+@partial(jax.jit, static_argnames="augmented")
 def forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, correction: Correction, constants: Any
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
 ) -> Float[Array, "W h s"]:
-    """Predicted measurements of the rows after each piece's run-in, never corrected again."""
+    """Predicted measurements of the rows after each piece's run-in, never corrected again; `box` adds to every step."""
     gain = jax.nn.sigmoid(v.gain)
 
     def one(chunk: Chunks) -> Float[Array, "h s"]:
@@ -53,7 +45,7 @@ def forecast(
             y_next, u, time_s, interval, gate, trust = now
             theta = v.theta + gate * v.gated
             sent = jnp.concatenate([u[None], memory.commands])
-            added = correction(constants, x, sent)
+            added = correct(augmented.layout, box, x, sent)
             memory, x = advance(augmented, v.phi, theta, scales, memory, x, u, Row(time_s, interval))
             x = x + added
             seen = sense(augmented, theta, memory, x)

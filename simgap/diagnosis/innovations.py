@@ -59,8 +59,11 @@ class Variables(NamedTuple):
     gated: Float[Array, " P"]
 
 
-def cut(recordings: Sequence[Recording], time_step: float) -> Chunks:
-    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count."""
+def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
+    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count.
+
+    There are at least `least`: sets of the same number of chunks share what is compiled.
+    """
     rows = RUN_IN + LENGTH + 1
     parts: list[tuple] = []
     for s, r in enumerate(recordings):
@@ -75,7 +78,7 @@ def cut(recordings: Sequence[Recording], time_step: float) -> Chunks:
             before = np.maximum(start - 1 - np.arange(HISTORY_ROWS + WARM), 0)
             parts.append((r.state[index], r.command[index], r.command[before], r.time_s[index] - r.time_s[0],
                           interval[index], counted, np.ones(rows), s, start))  # fmt: skip
-    while len(parts) % PAD:
+    while len(parts) % PAD or len(parts) < least:
         *arrays, counted, gate, s, start = parts[0]
         parts.append((*arrays, np.zeros_like(counted), gate, s, start))
     return as_chunks(parts)
@@ -124,14 +127,8 @@ def _all(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> 
 
 
 @partial(jax.jit, static_argnames="augmented")
-def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
-    """Innovations of every chunk in the outputs' units, zero in rows that do not count."""
-    return _all(augmented, scales, v, chunks)
-
-
-@partial(jax.jit, static_argnames="augmented")
 def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "M C T-1 s"]:
-    """The same for M values of all variables side by side (leading axis M in `v` only)."""
+    """Innovations in the outputs' units, zero in rows that do not count, for M values of the variables side by side."""
     return jax.vmap(lambda v: _all(augmented, scales, v, chunks))(v)
 
 

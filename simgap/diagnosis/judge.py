@@ -4,17 +4,16 @@ Intervals are a bootstrap over pieces of the held-out sessions (whole sessions w
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis import black_box
-from simgap.diagnosis.black_box import BlackBox
-from simgap.diagnosis.fit import Noise, Problem, fit_noise, log_density
-from simgap.diagnosis.forecast import forecast, uncorrected, windows
+from simgap.diagnosis.black_box import BlackBox, silent
+from simgap.diagnosis.fit import Problem, fit_noise, log_density
+from simgap.diagnosis.forecast import forecast, windows
 from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, wrap
 from simgap.layout import Layout, X, Y, Z
 from simgap.types import Recording
@@ -45,16 +44,15 @@ class Judged(NamedTuple):
     session: np.ndarray
 
 
-def judge(
-    problem: Problem, contestant: Contestant, training: Chunks | None, pieces: Chunks | None, noise: Noise | None = None
-) -> tuple[Judged | None, Noise | None]:
+def judge(problem: Problem, contestant: Contestant, training: Chunks | None, pieces: Chunks | None) -> Judged | None:
     """Judge on pieces of held-out sessions; the one-step noise is fitted on pieces of training sessions first."""
-    if noise is None and training is not None:
+    noise = None
+    if training is not None:
         first = forecasts(problem, contestant, training)[:, 0]
         e = np.asarray(wrap(problem.augmented, _measured(training)[:, 0] - first)) @ problem.whiten.T
         noise = fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
     if pieces is None:
-        return None, noise
+        return None
     predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
     error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))
@@ -64,7 +62,7 @@ def judge(
     if noise is not None:
         e = error[:, 0] @ problem.whiten.T
         nll = -log_density(e, noise).sum(1) - np.linalg.slogdet(problem.whiten)[1]
-    return Judged(error, moved, nll, pieces.session), noise
+    return Judged(error, moved, nll, pieces.session)
 
 
 def _measured(pieces: Chunks) -> np.ndarray:
@@ -72,20 +70,10 @@ def _measured(pieces: Chunks) -> np.ndarray:
     return np.asarray(pieces.state)[:, RUN_IN + 1 :]
 
 
-@dataclass(frozen=True)
-class _Correct:
-    """A black box's correction, hashable so that it is compiled once per layout."""
-
-    layout: Layout
-
-    def __call__(self, box: Any, state: Any, commands: Any) -> Any:
-        return black_box.correct(self.layout, box, state, commands)
-
-
 def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
     """Predicted measurements [n, horizon, s] after each piece's run-in."""
-    correction = uncorrected if contestant.box is None else _Correct(problem.augmented.layout)
-    return np.asarray(forecast(problem.augmented, problem.scales, contestant.v, pieces, correction, contestant.box))
+    box = contestant.box if contestant.box is not None else silent(problem.augmented.layout)
+    return np.asarray(forecast(problem.augmented, problem.scales, contestant.v, pieces, box))
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
@@ -136,7 +124,7 @@ def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
-    """Share of the black box's gain in one-step likelihood that the named physics makes; None where it has none."""
+    """Share of the black box's one-step gain that named physics makes; None where the box gains nothing certain."""
     if difference(refitted, box, rng)["ci95"][0] <= 0:
         return None
 
@@ -145,6 +133,12 @@ def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random
         return float(gained / max((refitted.nll[i] - box.nll[i]).mean(), 1e-9))
 
     return _interval(ratio, resample(refitted.session, rng))
+
+
+def alike(pieces: Chunks, like: Chunks) -> Chunks:
+    """As many pieces as `like` has, evenly chosen: sets of one size share what is compiled."""
+    index = np.linspace(0, len(pieces.row) - 1, len(like.row)).astype(int)
+    return jax.tree.map(lambda a: a[index], pieces)
 
 
 def pieces_of(recordings: Sequence[Recording], time_step: float) -> Chunks | None:

@@ -1,13 +1,15 @@
 """Numbers behind the pictures: an effect's law over the data it explains, its likelihood, and forecasts."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from simgap.diagnosis.candidates import Candidate, unit_of
-from simgap.diagnosis.fit import Fit, Problem, counted, log_density, trials
+from simgap.diagnosis.fit import Fit, Problem, counted, log_density, raw_innovations, trials
 from simgap.diagnosis.forecast import windows
-from simgap.diagnosis.innovations import RUN_IN, Chunks, innovations
+from simgap.diagnosis.innovations import RUN_IN, Chunks
 from simgap.diagnosis.judge import Contestant, forecasts
 from simgap.diagnosis.locate import Excess
 from simgap.diagnosis.screen import vary
@@ -27,7 +29,7 @@ def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> lis
 def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
     """Unexplained change of the output most concerned, without the effect (dots) and as the law has it (line)."""
     without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
-    raw = [counted(problem.chunks, innovations(problem.augmented, problem.scales, v, problem.chunks))
+    raw = [counted(problem.chunks, raw_innovations(problem, v))
            for v in (without, fit.v)]  # fmt: skip
     law = raw[0] - raw[1]
     noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
@@ -36,7 +38,7 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
     best = max(range(len(found.names)), key=lambda k: _told_by(found.features[:, k], law[:, output]))
     x, y = found.features[:, best], np.clip(raw[0][:, output], *np.quantile(raw[0][:, output], [0.002, 0.998]))
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
-    members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in pairwise(edges)]
     members = [m for m in members if len(m) > 5]
     if len(members) < 3:
         return []

@@ -94,6 +94,7 @@ def screen(
         vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
         change = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *vs)) - fit.e
         d = change.reshape(len(some), -1) * root
+        d = _beyond_twin(problem, fit, some, d, root)
         d = d - (d @ basis) @ basis.T
         tested = (
             _test(c, values, k, along, residual, cuts, low) for (c, values, k), along in zip(some, d, strict=True)
@@ -107,6 +108,23 @@ def screen(
     p_value = float((1 + (noise >= best).sum()) / (1 + len(noise)))
     found.sort(key=lambda s: -s.gain)
     return Screening(found, p_value, float(np.quantile(noise, 1 - level)))
+
+
+def _beyond_twin(
+    problem: Problem,
+    fit: Fit,
+    some: Sequence[tuple[Candidate, tuple[float, ...], int]],
+    d: np.ndarray,
+    root: np.ndarray,
+) -> Float[np.ndarray, "k m"]:
+    """Directions less their part along the same effect acting everywhere, for hypotheses that have such a twin."""
+    if not any(candidate.twin for candidate, _, _ in some):
+        return d
+    twins = [vary(fit.v, candidate._replace(groups=candidate.twin), values) for candidate, values, _ in some]
+    change = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *twins)) - fit.e
+    t = change.reshape(len(some), -1) * root
+    power = (t * t).sum(1, keepdims=True)
+    return d - t * (d * t).sum(1, keepdims=True) / np.maximum(power, NOTHING)
 
 
 def _test(

@@ -4,6 +4,7 @@ from typing import Any
 
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.experiment import Experiment
+from simgap.diagnosis.when import When
 
 
 def number(value: float) -> str:
@@ -22,6 +23,15 @@ def effect(candidate: Candidate, constants: list[dict[str, Any]]) -> str:
     said = candidate.effect.says.format(**{c["name"]: quantity(c) for c in constants})
     where = ", ".join(candidate.channels or candidate.outputs) or candidate.where
     return f"{said[0].upper()}{said[1:]} ({where})."
+
+
+def during(when: When | None, session: str | None) -> str:
+    """When an effect acts, if not throughout."""
+    if when is None:
+        return ""
+    if session is None:
+        return f" It acts from {when.from_s:.1f} s on in every session."
+    return f" It acts from {when.from_s:.1f} s to {when.to_s:.1f} s of session {session} only."
 
 
 def experiment(designed: Experiment, ids: list[str]) -> str:

@@ -96,7 +96,7 @@ class Effect:
     id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
     site): internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants
     ("never"; "same_unit": alike axes; "any"). jagged: the likelihood has many summits along the
-    constant. law: see the module of its place. says: a sentence for people, with
+    constant. event: it acts during a stretch of one session. law: see the module of its place. says: a sentence for people, with
     the constants' names to fill in.
     """
 
@@ -109,6 +109,7 @@ class Effect:
     says: str
     form: str = ""
     jagged: bool = False
+    event: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
 
     @property

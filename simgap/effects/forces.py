@@ -64,6 +64,14 @@ def _bias(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     return on_axes(step.layout, c[0])
 
 
+def _external(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """c, in the world's axes."""
+    out = on_axes(step.layout, c[0])
+    cos, sin = jnp.cos(step.now.heading), jnp.sin(step.now.heading)
+    x, y = cos * out[:, X] + sin * out[:, Y], -sin * out[:, X] + cos * out[:, Y]
+    return out.at[:, X].set(x).at[:, Y].set(y)
+
+
 def _fraction_of_command(fraction: float):
     return lambda scales, site: [[fraction * max(float(scales.axis_command[site]), 1e-3)]]
 
@@ -99,5 +107,9 @@ EFFECTS = (
     Effect(
         "body_frame_bias", "push", (Constant("drift", "{u}"),), axis_sites, _fraction_of_command(0.05), _bias,
         "a steady drift of {drift} in the robot's own frame",
+    ),
+    Effect(
+        "external_push", "push", (Constant("velocity", "{u}"),), axis_sites, _fraction_of_command(0.2), _external,
+        "a disturbance from outside pushes by {velocity}", event=True,
     ),
 )  # fmt: skip

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,11 @@ DOORS = {
     "matplotlib": {"tasks/plots.py", "tasks/diagnosis_plots.py"},
     "yaml": {"tasks/params.py", "flows/provenance.py", "flows/reproduce.py"},
 }
+
+
+DIAGNOSIS = ("simgap/diagnosis", "simgap/effects", "simgap/simulators", "simgap/layout.py")
+"""What finds an effect, and must not know what makes the recordings in which effects are concealed."""
+MAKERS = ("concealed", "simgap.robots")
 
 
 def imports(path: Path) -> set[str]:
@@ -77,6 +83,51 @@ def test_a_stage_depends_on_the_code_it_runs() -> None:
     from tasks.fingerprint import modules_of_training
 
     for path in modules_of_training():
+        relative = str(path.relative_to(ROOT))
+        assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
+
+
+def imported(path: Path) -> set[str]:
+    """Dotted names of all that a module imports, of the packages above it, and of names taken from modules."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            parent = path.relative_to(ROOT).parts[: -node.level] if node.level else ()
+            module = ".".join([*parent, *([node.module] if node.module else [])])
+            found |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
+    return {".".join(name.split(".")[:k]) for name in found for k in range(1, name.count(".") + 2)}
+
+
+def reached(names: Iterable[str]) -> tuple[set[Path], set[str]]:
+    """The project's files that these files or folders come to import, themselves included; and all imported names."""
+    queue = [p for name in names for p in ([ROOT / name] if name.endswith(".py") else (ROOT / name).rglob("*.py"))]
+    files, known = set(), set()
+    while queue:
+        path = queue.pop()
+        if path not in files and path.is_file():
+            files.add(path)
+            known |= (new := imported(path))
+            queue += [ROOT.joinpath(*n.split(".")).with_suffix(".py") for n in new]
+            queue += [ROOT.joinpath(*n.split("."), "__init__.py") for n in new]
+    return files, known
+
+
+def test_the_diagnosis_knows_nothing_of_what_makes_its_recordings() -> None:
+    files, known = reached(DIAGNOSIS)
+    assert {ROOT / "simgap/simulators/spot.py", ROOT / "simgap/types.py"} <= files
+    found = {name for name in known if name in MAKERS or name.startswith(tuple(f"{m}." for m in MAKERS))}
+    assert not found
+    for path in files:
+        assert not re.search(r"importlib|__import__", path.read_text()), f"{path} imports by a name given as text"
+
+
+def test_the_diagnosis_depends_on_the_numerics_it_runs() -> None:
+    """Every module of simgap that it comes to import is a dependency of its DVC stage."""
+    deps = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]["diagnose"]["deps"]
+    # What things are called is none.
+    for path in reached(DIAGNOSIS)[0] - {ROOT / "simgap/__init__.py", ROOT / "simgap/types.py"}:
         relative = str(path.relative_to(ROOT))
         assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
 

@@ -44,6 +44,7 @@ def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path) -> No
     run(copy, "dvc", "repro")
     assert (copy / "dvc.lock").exists()
     assert (copy / "reports" / "virtual" / "report.md").exists()
+    assert (copy / "reports" / "virtual" / "diagnosis" / "diagnosis.json").exists()
     assert "up to date" in run(copy, "dvc", "repro")
 
     before = run(copy, "dvc", "status", "--json")
@@ -60,5 +61,5 @@ def test_the_real_spots_pipeline_is_complete(copy: Path) -> None:
     """Without the recordings its stages are there to be listed, and say which folder is missing."""
     stages = run(copy, "dvc", "stage", "list", "spot/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == [
-        f"spot/dvc.yaml:{stage}" for stage in ("recordings", "transitions", "train", "score", "report")
+        f"spot/dvc.yaml:{stage}" for stage in ("recordings", "transitions", "train", "score", "report", "diagnose")
     ]

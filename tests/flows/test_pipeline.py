@@ -1,5 +1,6 @@
 """The pipeline at a tiny size, as a person runs it: whole, with a failing cell, killed halfway and started again."""
 
+import html
 import json
 import os
 import signal
@@ -85,11 +86,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> None:
     folder, output = finished
-    tail = output.strip().splitlines()[-3:]
-    assert [line.split()[0] for line in tail] == ["report", "figures", "MLflow"]
+    tail = output.strip().splitlines()[-4:]
+    assert [line.split()[0] for line in tail] == ["report", "figures", "diagnosis", "MLflow"]
     report = folder / tail[0].split()[1]
     assert "Sim-FSVGD" in report.read_text()
     assert (report.parent / "nll_against_n.png").stat().st_size > 10_000
+    statement = files.read_json(report.parent / "diagnosis" / "diagnosis.json")["statement"]
+    assert statement in output
+    assert html.escape(statement) in (folder / tail[2].split()[1]).read_text()
     assert "Error encountered" not in output
     assert "Traceback" not in output
 

@@ -36,9 +36,9 @@ def theta(constants: Mapping[tuple[str, int, int], float]) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames="rows")
-def _run(key, theta, phi, noise, rows):
+def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
     config = operator.OperatorConfig()
-    key_start, key = jax.random.split(key)
+    key_start, lost_key, key = jax.random.split(key, 3)
     pose = jnp.array([2.0, 2.0, 3.0]) * jax.random.uniform(key_start, (3,), minval=-1)
     hand = jnp.array([0.8, 0.0, 0.6])
     c, s = jnp.cos(pose[2]), jnp.sin(pose[2])
@@ -47,26 +47,44 @@ def _run(key, theta, phi, noise, rows):
     scales = jax.tree.map(jnp.asarray, SCALES)
 
     def row(carry, now):
-        state, memory, op = carry
+        state, memory, op, sent = carry
         key, time_s = now
         k1, k2, k3 = jax.random.split(key, 3)
         measured = sense(SPOT, theta, memory, state) + noise * jnp.array(SENSOR) * jax.random.normal(k1, (12,))
         measured = measured.at[2].set(jnp.arctan2(jnp.sin(measured[2]), jnp.cos(measured[2])))
         op, u = operator.step(op, measured, k2, 1 / 15, config)
-        memory, state = advance(SPOT, phi, theta, scales, memory, state, u, Row(time_s, jnp.ones(())))
+        constants = theta + jnp.where((time_s >= from_s) & (time_s < to_s), 1.0, 0.0) * during
+        # Lost commands come in bursts of four rows.
+        k4 = jax.random.fold_in(lost_key, (time_s * 15).astype(int) // 4)
+        acted = jnp.where(jax.random.bernoulli(k4, lost), sent, u)
+        memory, state = advance(SPOT, phi, constants, scales, memory, state, acted, Row(time_s, jnp.ones(())))
         state = state + noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
-        return (state, memory, op), (measured, u)
+        return (state, memory, op, acted), (measured, u)
 
-    start = (state, remember(SPOT, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())), operator.init())
+    start = (state, remember(SPOT, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())), operator.init(), jnp.zeros(6))
     times = jnp.arange(rows) / 15
     return jax.lax.scan(row, start, (jax.random.split(key, rows), times))[1]
 
 
-def recordings(constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI) -> list[Recording]:
-    """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise."""
+def recordings(
+    constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI, during=None, from_s=0.0, to_s=np.inf, only=None, lost=0.0
+) -> list[Recording]:
+    """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise.
+
+    `during` are constants that hold from `from_s` to `to_s` besides, in session `only` if it is given; `lost` is the
+    share of commands that are lost, in bursts.
+    """
     out = []
     for s in range(sessions):
         key = jax.random.fold_in(jax.random.key(seed), s)
-        y, u = _run(key, jnp.asarray(theta(constants)), jnp.asarray(phi), noise, rows)
+        more = theta(during or {}) * (only in (None, s))
+        y, u = _run(key, jnp.asarray(theta(constants)), jnp.asarray(more), from_s, to_s, lost, jnp.asarray(phi), noise, rows)
         out.append(Recording(f"s{s}", np.arange(rows) / 15, np.asarray(y, np.float64), np.asarray(u, np.float64)))
     return out
+
+
+def stalled(recording: Recording, share: float, seed: int) -> Recording:
+    """The session with rows left out, the others stamped as if nothing were: stalls of the recorder."""
+    keep = np.random.default_rng(seed).random(len(recording.time_s)) >= share
+    rows = int(keep.sum())
+    return Recording(recording.name, np.arange(rows) / 15, recording.state[keep], recording.command[keep])

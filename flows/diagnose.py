@@ -1,0 +1,67 @@
+"""Stage `diagnose`: what the simulator leaves out, from a source's recordings or from a folder of one's own."""
+
+import time
+from pathlib import Path
+
+from prefect import flow
+
+from flows import provenance
+from flows.start import main
+from simgap.simulators.spot import Spot
+from simgap.types import StepModel
+from tasks import diagnose, files, progress, simulators, tracking
+from tasks.diagnose import Folders
+from tasks.params import Params
+from tasks.workspace import Workspace
+
+EXPERIMENT = "diagnosis"
+
+
+@flow(name="diagnose", flow_run_name="diagnose-{source}")
+def run(source: str, params: Params, root: Path) -> None:
+    """Say what the kinematic model leaves out of a source's training sessions, judged on its test sessions."""
+    workspace = Workspace(root, source)
+    folders = Folders(workspace.recordings / "training", workspace.recordings / "test")
+    spot = Spot(time_step=1 / params.transitions.nominal_rate_hz)
+    tags = provenance.tags(workspace, workspace.recordings)
+    _diagnose(source, "spot", spot, folders, workspace.diagnosis, params.diagnose.seed, tags)
+
+
+@flow(name="diagnose-folder", flow_run_name="diagnose-{recordings}")
+def diagnose_folder(
+    recordings: Path, simulator: str, baseline: Path | None, heldout: Path | None, out: Path, seed: int = 0
+) -> None:
+    """Say what a simulator, given as `tasks.simulators.load` takes it, leaves out of a folder's sessions."""
+    folders = Folders(recordings, heldout, baseline)
+    label = recordings.resolve().name
+    _diagnose(label, simulator, simulators.load(simulator), folders, out, seed, provenance.origin())
+
+
+def _diagnose(
+    label: str, name: str, simulator: StepModel, folders: Folders, out: Path, seed: int, tags: dict[str, str]
+) -> None:
+    """Read, diagnose, write to `out`, log; the run is called by the recordings' label and the simulator's name."""
+    sessions, errors = diagnose.read(folders, simulator)
+    for error in errors:
+        progress.say(f"left out: {error}")
+    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
+    progress.say(f"diagnosis of {name} on {label}: {counts} sessions")
+    files.make_folder(out)  # before the work, not after it
+    store = provenance.store(EXPERIMENT)
+    with tracking.diagnosis_run(store, f"{label}-{name}", tags) as tracked:
+        diagnose.log_recordings(tracked, name, folders, sessions, seed)
+        start = time.perf_counter()
+        found = diagnose.find(simulator, name, sessions, seed, lambda line: progress.say(f"  {line}"))
+        seconds = time.perf_counter() - start
+        diagnose.write(out, found, simulator.schema)
+        diagnose.log(tracked, out, found, seconds)
+    shown = [("page", diagnose.PAGE), ("data", diagnose.STATEMENT), ("commands", diagnose.EXPERIMENT)]
+    places = "\n".join(f"{what:10}{out / file}" for what, file in shown if (out / file).exists())
+    progress.say(
+        f"\n{found.statement['statement']}\n\n{places}\n{'MLflow':10}{tracking.link(store, tracked.run_id)}\n"
+        f"({found.statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"
+    )
+
+
+if __name__ == "__main__":
+    main(run)

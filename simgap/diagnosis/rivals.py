@@ -1,0 +1,89 @@
+"""Every effect of a set against what could stand in its place: who keeps it, and how sure that is."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.candidates import Candidate
+from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
+from simgap.diagnosis.screen import blocks
+from simgap.diagnosis.search import Found, Model, Round, Say, Tried, least, one_more, without
+from simgap.diagnosis.when import When
+
+
+class Member(NamedTuple):
+    """An effect of the set that explains the recordings.
+
+    gain: of the set over the set without it [nats]. odds: probability of every effect id that could stand in its place;
+    rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. when: it acts then only,
+    if not throughout.
+    """
+
+    candidate: Candidate
+    gain: float
+    odds: dict[str, float]
+    rival: Tried | None
+    without: Fit
+    when: When | None = None
+
+
+def defend(
+    found: Found, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say
+) -> tuple[Model, tuple[Member, ...], list[Round]]:
+    """Let every member defend its place, given the others: a better rival takes it, one that is not needed goes."""
+    model, base = found.model, found.base
+    if len(found.chosen) == 1:
+        return model, (member(model.problem, found.rounds[0].tried, base),), []
+    members, rounds = [], []
+    for candidate in found.chosen:
+        say(f"{candidate.name} against its rivals, given the other effects")
+        problem, fit, _ = model
+        rest = without(fit, candidate.groups)
+        reduced = Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups), 8))
+        tried = one_more(reduced, candidates, rng, say)
+        rounds.append(tried)
+        own = Tried(candidate, fit, fit.loglik - reduced.fit.loglik)
+        rivals = [t for t in tried.tried if t.candidate.name != candidate.name]
+        if rivals and rivals[0].gain > own.gain + 1 and rivals[0].candidate.effect.id != candidate.effect.id:
+            say(f"{rivals[0].candidate.name} replaces {candidate.name} ({rivals[0].gain - own.gain:+.1f} nats)")
+            model = Model(problem, *optimise(problem, rivals[0].fit, 8))
+            own = rivals.pop(0)
+        if own.gain < max(tried.screening.threshold / 2, least(problem, base, reduced.fit, model.fit)):
+            say(f"{candidate.name} is not needed beside the others")
+            model = reduced
+        else:
+            members.append(member(problem, [own, *rivals], reduced.fit))
+    return model, tuple(members), rounds
+
+
+def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:
+    """The first of the hypotheses tried for one place, with the others as its rivals."""
+    own = tried[0]
+    rival = next((t for t in tried if t.candidate.effect.id != own.candidate.effect.id), None)
+    return Member(own.candidate, own.gain, odds(problem, tried), rival, rest)
+
+
+def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
+    """Probability of each effect id: likelihood of its best hypothesis, less log n / 2 a constant, against the first's.
+
+    The ratio of two likelihoods is itself uncertain: where its spread over blocks of rows is wider than that of a
+    correct model's (variance twice the mean), the ratio is worn down accordingly [Vuong 1989].
+    """
+    starts, rows = blocks(np.asarray(problem.chunks.counts)), len(tried[0].fit.e)
+    best: dict[str, Tried] = {}
+    for t in tried:
+        value = best.get(t.candidate.effect.id)
+        if value is None or t.gain > value.gain:
+            best[t.candidate.effect.id] = t
+    score = {k: t.gain - 0.5 * len(t.candidate.groups) * np.log(rows) for k, t in best.items()}
+    lead = tried[0].candidate.effect.id
+    density = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
+    logits = {}
+    for k in best:
+        behind = max(score[lead] - score[k], 0.0)
+        difference = np.add.reduceat(density[lead] - density[k], starts)
+        spread = len(difference) * float(np.var(difference))
+        logits[k] = -behind * min(1.0, 2 * behind / spread) if spread > 0 else -behind
+    total = np.logaddexp.reduce(list(logits.values()))
+    return {k: float(np.exp(v - total)) for k, v in sorted(logits.items(), key=lambda kv: -kv[1])}

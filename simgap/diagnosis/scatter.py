@@ -1,0 +1,277 @@
+"""Effects that do not move the mean: scatter that grows with motion, rows that come late, lost commands, stepping.
+
+They are looked for in what the best model of the mean leaves over: each is another distribution of the innovations,
+and is claimed where it makes them likelier, block by block, in training and in held-out sessions.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaincc, logsumexp
+
+from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, fit_noise, log_density, trials
+from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.screen import blocks
+from simgap.diagnosis.when import rows_of
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Slot
+from simgap.layout import motion
+
+OWED = 10.0
+"""Least gain [nats]; these hypotheses have two or three constants each."""
+SURE = 3.5
+"""Standard deviations, over blocks of rows, by which the gain must exceed zero."""
+RATIOS = np.geomspace(1.05, 12, 18) - 1
+STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+"""Further nominal intervals that a late row may contain."""
+HELD = (1, 2, 3, 4)
+"""Rows for which a lost command leaves the last one acting."""
+SEGMENT = 64
+"""Rows of the periodograms in which stepping is looked for."""
+LEVEL = 1e-3
+
+
+class Scatter(NamedTuple):
+    """An effect on the scatter: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats]."""
+
+    id: str
+    constants: list[dict[str, Any]]
+    outputs: tuple[str, ...]
+    statement: str
+    gain: float
+    heldout_gain: float
+
+
+class _Sample(NamedTuple):
+    """One set of sessions under the model of the mean: decorrelated innovations, and what the hypotheses need."""
+
+    e: Float[np.ndarray, "n s"]
+    moving: Float[np.ndarray, " n"]
+    advance: Float[np.ndarray, "n s"]
+    held: list[Float[np.ndarray, "n s"]]
+    starts: np.ndarray
+
+
+def scatter(problem: Problem, fit: Fit, unseen: Chunks) -> list[Scatter]:
+    """All effects on the scatter that training and held-out sessions agree on."""
+    training, heldout = (_sample(problem._replace(chunks=c), fit) for c in (problem.chunks, unseen))
+    rare = (_late_rows(problem, fit.noise, training, heldout), _lost_commands(problem, fit.noise, training, heldout))
+    # Two words for the same odd rows: the better one. And what has a name of its own goes before scatter that grows.
+    found = [max((r for r in rare if r is not None), key=lambda r: r.gain, default=None)]
+    if found[0] is None:
+        found = [_motion(problem, fit.noise, training, heldout)]
+    found.append(_stepping(problem, fit, unseen))
+    return [f for f in found if f is not None]
+
+
+def _sample(problem: Problem, fit: Fit) -> _Sample:
+    chunks = problem.chunks
+    layout, scales = problem.augmented.layout, problem.scales
+    counts = np.asarray(chunks.counts)
+    state = np.asarray(chunks.state)[:, 1:][counts]
+    speed = jnp.asarray(np.maximum(scales.speed, 1e-6))
+    level = jax.vmap(lambda s: jnp.sqrt(((motion(layout, s).velocity / speed) ** 2 * (scales.speed > 1e-6)).mean()))
+    moving = np.asarray(level(jnp.asarray(state))) if layout.bodies else np.zeros(len(state))
+    integrates = layout.integrates
+    rate = np.where(integrates >= 0, state[:, np.maximum(integrates, 0)], 0.0) * scales.interval
+    keys = [effect.key for effect in CATALOGUE]
+    delays = [problem.augmented.index[Slot(keys.index("delay"), 0, s)] for s in range(len(layout.schema.command))]
+    later = [fit.v._replace(theta=fit.v.theta.at[jnp.array(delays)].add(float(k))) for k in HELD]
+    held = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *later))
+    e = evaluate(problem, fit.v, fit.groups, fit.noise).e
+    usual = np.quantile(moving, 0.95) if len(moving) else 1.0
+    return _Sample(e, moving / max(usual, 1e-9), rate @ problem.whiten.T, list(held), blocks(counts))
+
+
+def _density(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, " n"]:
+    return log_density(e, noise).sum(1)
+
+
+def _certain(gain: Float[np.ndarray, " n"], starts: np.ndarray) -> bool:
+    """Whether a gain per row is more than chance, blocks of rows being independent."""
+    per_block = np.add.reduceat(gain, starts)
+    return bool(gain.sum() > OWED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
+
+
+def _claim(
+    name: str, training: _Sample, heldout: _Sample, gain: Callable[[_Sample], np.ndarray], **said: Any
+) -> Scatter | None:
+    g, h = gain(training), gain(heldout)
+    if not _certain(g, training.starts) or h.sum() <= 0:
+        return None
+    return Scatter(id=name, gain=float(g.sum()), heldout_gain=float(h.sum()), **said)
+
+
+def _motion(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
+    """Scale times (1 + c m), m the motion: the ratio is that of moving as usual to standing still."""
+
+    def loglik(c: float) -> tuple[float, Noise]:
+        wide = 1 + c * training.moving[:, None]
+        fitted = fit_noise(training.e / wide)
+        return float(_density(training.e / wide, fitted).sum() - np.log(wide).sum() * training.e.shape[1]), fitted
+
+    values = [loglik(c) for c in RATIOS]
+    best = int(np.argmax([v for v, _ in values]))
+    c, fitted = float(RATIOS[best]), values[best][1]
+    inside = RATIOS[[v > values[best][0] - 2 for v, _ in values]]
+
+    def gain(sample: _Sample) -> np.ndarray:
+        wide = 1 + c * sample.moving[:, None]
+        return _density(sample.e / wide, fitted) - sample.e.shape[1] * np.log(wide[:, 0]) - _density(sample.e, noise)
+
+    constant = {
+        "name": "ratio",
+        "value": 1 + c,
+        "unit": "-",
+        "ci95": [1 + float(inside.min()), 1 + float(inside.max())],
+    }
+    return _claim(
+        "motion_dependent_noise", training, heldout, gain, constants=[constant], outputs=_all(problem),
+        statement=f"The scatter grows with the motion: {1 + c:.1f} times as wide when moving as at rest; error bars "
+        "are wrong, not means.",
+    )  # fmt: skip
+
+
+class _Mixture(NamedTuple):
+    shares: Float[np.ndarray, " k"]
+    noise: Noise
+    chance: Float[np.ndarray, "n k"]
+
+
+def _mix(e: list[np.ndarray], noise: Noise) -> _Mixture:
+    """Expectation maximisation of rows that follow one of several innovations; the first is the plain one."""
+    shares = np.full(len(e), 0.02)
+    shares[0] = 1 - shares[1:].sum()
+    chance = np.zeros((len(e[0]), len(e)))
+    for _ in range(15):
+        density = np.stack([_density(x, noise) for x in e], axis=1) + np.log(shares)
+        chance = np.exp(density - logsumexp(density, axis=1, keepdims=True))
+        shares = np.maximum(chance.mean(0), 1e-9)
+        chosen = chance.argmax(1)
+        noise = fit_noise(np.stack(e)[chosen, np.arange(len(chosen))])
+    return _Mixture(shares, noise, chance)
+
+
+def _mixed_gain(mixture: _Mixture, e: list[np.ndarray], noise: Noise) -> np.ndarray:
+    density = np.stack([_density(x, mixture.noise) for x in e], axis=1) + np.log(mixture.shares)
+    return logsumexp(density, axis=1) - _density(e[0], noise)
+
+
+def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
+    """Rows in which the robot moved on for longer than the nominal interval, all positions alike."""
+    several = lambda s: [s.e, *(s.e - k * s.advance for k in STALLS)]  # noqa: E731
+    mixture = _mix(several(training), noise)
+    share = float(mixture.shares[1:].sum())
+    longer = float(mixture.shares[1:] @ STALLS / max(share, 1e-9))
+    length = problem.scales.time_step * (1 + longer)
+    sd = np.sqrt(share * (1 - share) / len(training.e))
+    constants = [
+        {"name": "share of stalls", "value": share, "unit": "-", "ci95": [max(share - 2 * sd, 0.0), share + 2 * sd]},
+        {"name": "length of stalls", "value": length, "unit": "s", "ci95": [length * 0.8, length * 1.2]},
+    ]
+    names = problem.augmented.simulator.schema.state
+    positions = tuple(f.name for f, v in zip(names, problem.augmented.layout.integrates, strict=True) if v >= 0)
+    return _claim(
+        "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), constants=constants,
+        outputs=positions, statement=f"Rows are not evenly spaced in time: {share:.0%} of them hold a stall and span "
+        f"about {length:.2f} s of motion.",
+    )  # fmt: skip
+
+
+def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
+    """Rows in which an earlier command acts instead of the one sent."""
+    several = lambda s: [s.e, *s.held]  # noqa: E731
+    mixture = _mix(several(training), noise)
+    minutes = len(training.e) * problem.scales.time_step / 60
+    begins = float(mixture.chance[:, 1].sum())
+    rate = begins / minutes
+    length = problem.scales.time_step * float(mixture.shares[1:].sum() / max(mixture.shares[1], 1e-9))
+    sd = np.sqrt(max(begins, 1.0)) / minutes
+    constants = [
+        {"name": "rate", "value": rate, "unit": "1/min", "ci95": [max(rate - 2 * sd, 0.0), rate + 2 * sd]},
+        {"name": "length", "value": length, "unit": "s", "ci95": [length * 0.7, length * 1.4]},
+    ]
+    return _claim(
+        "dropout", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), constants=constants,
+        outputs=_all(problem), statement=f"Commands are lost now and then ({rate:.1f} times a minute, for about "
+        f"{length:.2f} s), and the last one acts on.",
+    )  # fmt: skip
+
+
+def _stepping(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
+    """A peak in the periodogram of a velocity's innovations, over the level of its neighbours."""
+    fields = problem.augmented.simulator.schema.state
+    velocities = [i for i, f in enumerate(fields) if f.kind == "velocity"]
+    power, count = _periodogram(problem, fit)
+    found = _peak(power[:, velocities], count)
+    if found is None:
+        return None
+    k, best, gain, amplitude = found
+    there, segments = _periodogram(problem._replace(chunks=unseen), fit)
+    level = _neighbours(there[:, velocities[best]])[k] if segments else 1.0
+    held = float(there[k, velocities[best]] / level - segments) if segments else 0.0
+    if held <= 0:
+        return None
+    hertz = k / (SEGMENT * problem.scales.time_step)
+    width = 0.5 / (SEGMENT * problem.scales.time_step)
+    name = fields[velocities[best]].name
+    constants = [
+        {"name": "amplitude", "value": amplitude, "unit": fields[velocities[best]].unit,
+         "ci95": [0.7 * amplitude, 1.4 * amplitude]},
+        {"name": "frequency", "value": hertz, "unit": "Hz", "ci95": [hertz - width, hertz + width]},
+    ]  # fmt: skip
+    return Scatter(
+        "gait_oscillation", constants, (name,),
+        f"The body shakes periodically, at {hertz:.2f} Hz with about {amplitude:.2g} {fields[velocities[best]].unit} "
+        f"({name}), as stepping does.", gain, held,
+    )  # fmt: skip
+
+
+def _periodogram(problem: Problem, fit: Fit) -> tuple[Float[np.ndarray, "f s"], int]:
+    """Summed power of raw innovations in segments of sessions, and the number of segments."""
+    raw = evaluate(problem._replace(whiten=np.eye(len(problem.whiten))), fit.v, fit.groups, fit.noise).e
+    rows = rows_of(problem.chunks)
+    total, count = np.zeros((SEGMENT // 2 + 1, raw.shape[1])), 0
+    window = np.hanning(SEGMENT)[:, None]
+    for s in np.unique(rows.session):
+        mine = raw[rows.session == s]
+        for first in range(0, len(mine) - SEGMENT + 1, SEGMENT):
+            piece = mine[first : first + SEGMENT]
+            total += np.abs(np.fft.rfft(window * (piece - piece.mean(0)), axis=0)) ** 2 / (window**2).sum()
+            count += 1
+    return total, count
+
+
+def _neighbours(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+    """Level around every frequency: the median at 3 to 8 bins' distance, per segment."""
+    near = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])
+    index = np.arange(len(power))[:, None] + near
+    index = np.where((index < 1) | (index >= len(power)), -1, index)
+    values = np.where(index >= 0, power[np.maximum(index, 0)], np.nan)
+    return np.nanmedian(values, axis=1)
+
+
+def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, float, float] | None:
+    """(frequency bin, output, gain [nats], amplitude) of the most certain peak, if it is certain."""
+    if segments < 3:
+        return None
+    best = None
+    for j in range(power.shape[1]):
+        level = _neighbours(power[:, j]) / segments
+        ratio = power[:, j] / np.maximum(level, 1e-18)
+        k = 3 + int(ratio[3:-2].argmax())
+        # Of a flat spectrum the ratio is Gamma distributed; the level itself is an estimate, hence half the segments.
+        chance = gammaincc(segments / 2, ratio[k] / 2) * power.size
+        if chance < LEVEL and (best is None or ratio[k] > best[4]):
+            excess = (power[k - 1 : k + 2, j] / segments - level[k]).clip(0).sum() * 2 / SEGMENT
+            gain = ratio[k] - segments - segments * np.log(ratio[k] / segments)
+            best = (k, j, float(gain), float(np.sqrt(2 * excess)), float(ratio[k]))
+    return best[:4] if best and best[2] > OWED else None
+
+
+def _all(problem: Problem) -> tuple[str, ...]:
+    return tuple(f.name for f in problem.augmented.simulator.schema.state)

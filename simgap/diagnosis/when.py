@@ -1,0 +1,134 @@
+"""When an effect acts: from a time on in every session, or during a stretch of one session."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.diagnosis.fit import Fit, weights
+from simgap.diagnosis.innovations import Chunks
+
+LENGTHS = (4, 7, 12, 20, 32, 50, 80)
+"""Rows of the stretches that are tried; edges are refined afterwards."""
+ONSETS = 40
+FLIP = 8
+"""Rows that share a sign in the bootstrap of stretches."""
+DRAWS = 100
+
+
+class When(NamedTuple):
+    """Session (index, None for all) and time [s] since its start."""
+
+    session: int | None
+    from_s: float
+    to_s: float
+
+
+class Rows(NamedTuple):
+    """Session and time [s] of every row that counts, in order."""
+
+    session: np.ndarray
+    time_s: np.ndarray
+
+
+def rows_of(chunks: Chunks) -> Rows:
+    """Session and time of the rows that count."""
+    counts = np.asarray(chunks.counts)
+    session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
+    return Rows(session, np.asarray(chunks.time_s)[:, :-1][counts])
+
+
+def gate(chunks: Chunks, when: When | None) -> Float[Array, "C T"]:
+    """1 where an effect acts."""
+    time = np.asarray(chunks.time_s)
+    if when is None:
+        return jnp.ones(time.shape)
+    inside = (time >= when.from_s) & (time < when.to_s)
+    if when.session is not None:
+        inside &= (np.asarray(chunks.session) == when.session)[:, None]
+    return jnp.asarray(inside, jnp.float32)
+
+
+def scores(
+    fit: Fit, without: Float[np.ndarray, "n s"], with_it: Float[np.ndarray, "n s"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Score and information of every row for an effect between two sets of innovations: (S, P), gain S^2 / 2P."""
+    w = weights(fit.e, fit.noise)
+    d = with_it - without
+    return -(w * without * d).sum(1), (w * d**2).sum(1)
+
+
+def onset(rows: Rows, score: np.ndarray, power: np.ndarray) -> tuple[When, float]:
+    """The best time from which an effect acts in every session, and what the restriction gains [nats]."""
+    last = rows.time_s.max()
+    best = (When(None, 0.0, np.inf), 0.0)
+    everywhere = _gain(score.sum(), power.sum())
+    for t in np.linspace(0, last, ONSETS + 1)[1:-1]:
+        on = rows.time_s >= t
+        more = _gain(score[on].sum(), power[on].sum()) - everywhere
+        if more > best[1]:
+            best = (When(None, float(t), np.inf), float(more))
+    return best
+
+
+def stretch(rows: Rows, score: np.ndarray, power: np.ndarray) -> tuple[When, float]:
+    """The best stretch of one session, and its gain [nats]."""
+    best, where = 0.0, (0, 0, 0)
+    for s in np.unique(rows.session):
+        mine = np.flatnonzero(rows.session == s)
+        gain, start, length = _best_window(score[mine], power[mine])
+        if gain > best:
+            best, where = gain, (int(s), start, length)
+    s, start, length = where
+    mine = np.flatnonzero(rows.session == s)
+    start, stop = _edges(score[mine], power[mine], start, start + length)
+    time = rows.time_s[mine]
+    step = np.median(np.diff(time)) if len(time) > 1 else 0.0
+    gain = _gain(score[mine[start:stop]].sum(), power[mine[start:stop]].sum())
+    return When(s, float(time[start]), float(time[stop - 1] + step)), float(gain)
+
+
+def stretch_by_chance(
+    rows: Rows, score: np.ndarray, power: np.ndarray, level: float, rng: np.random.Generator
+) -> float:
+    """Gain [nats] that the best stretch reaches by chance with probability `level`, extrapolated from random signs."""
+    best = []
+    for _ in range(DRAWS):
+        sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
+        best.append(max(_best_window(score[m] * sign[m], power[m])[0] for m in _sessions(rows)))
+    # Gains of many stretches have an exponential tail: Gumbel, by its moments.
+    scale = np.std(best) * np.sqrt(6) / np.pi
+    return float(np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level)))
+
+
+def _sessions(rows: Rows) -> list[np.ndarray]:
+    return [np.flatnonzero(rows.session == s) for s in np.unique(rows.session)]
+
+
+def _gain(score: float, power: float) -> float:
+    return 0.5 * score**2 / power if power > 1e-9 else 0.0
+
+
+def _best_window(score: np.ndarray, power: np.ndarray) -> tuple[float, int, int]:
+    s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
+    best = (0.0, 0, min(LENGTHS[0], len(score)))
+    for length in LENGTHS:
+        if length > len(score):
+            break
+        gain = 0.5 * (s[length:] - s[:-length]) ** 2 / np.maximum(p[length:] - p[:-length], 1e-9)
+        k = int(gain.argmax())
+        if gain[k] > best[0]:
+            best = (float(gain[k]), k, length)
+    return best
+
+
+def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int) -> tuple[int, int]:
+    """Move both edges to where the gain is greatest."""
+    s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
+    for _ in range(3):
+        starts = np.arange(0, stop - 1)
+        start = int(starts[np.argmax((s[stop] - s[starts]) ** 2 / np.maximum(p[stop] - p[starts], 1e-9))])
+        stops = np.arange(start + 2, len(score) + 1)
+        stop = int(stops[np.argmax((s[stops] - s[start]) ** 2 / np.maximum(p[stops] - p[start], 1e-9))])
+    return start, stop

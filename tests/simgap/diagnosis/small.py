@@ -1,0 +1,39 @@
+"""Planted recordings of one small size, so that all tests share what is compiled for it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from planted import SPOT, recordings
+
+from simgap.diagnosis.fit import BATCHES, Problem
+from simgap.diagnosis.innovations import Chunks, Variables, cut, innovations_of
+from simgap.diagnosis.measure import measure
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Augmented
+from simgap.effects.effect import Scales
+from simgap.types import Recording
+
+SESSIONS, ROWS = 4, 200
+"""Three sessions to fit are 15 chunks, the fourth is 5: both are filled up to 16."""
+KEYS = {effect.key: effect for effect in CATALOGUE}
+
+
+def acting(key: str, constants: tuple[float, ...], sites: tuple[int, ...] = (0,)) -> dict[tuple[str, int, int], float]:
+    """An effect's internal constants at some sites, for `planted.recordings`."""
+    return {(key, k, site): c for k, c in enumerate(constants) for site in sites}
+
+
+def sessions(constants: dict, seed: int = 0, noise: float = 1.0, **more) -> tuple[list[Recording], list[Recording]]:
+    """Three sessions to fit, one held out."""
+    recorded = recordings(constants, seed, SESSIONS, ROWS, noise, **more)
+    return recorded[:-1], recorded[-1:]
+
+
+def problem(training: list[Recording]) -> Problem:
+    return Problem(SPOT, measure(SPOT, training), cut(training, 1 / 15), np.eye(12))
+
+
+def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> np.ndarray:
+    """Innovations [C, t, s] of one value of the variables."""
+    several = jax.tree.map(lambda a: jnp.repeat(a[None], BATCHES[0], 0), v)
+    return np.asarray(innovations_of(augmented, scales, several, chunks)[0])
