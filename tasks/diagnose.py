@@ -85,15 +85,16 @@ def digest(recordings: Sequence[Recording]) -> str:
 @task(task_run_name="diagnose-{name}")
 def find(simulator: StepModel, name: str, sessions: Sessions, seed: int, say: Callable[[str], None]) -> Diagnosis:
     """What the simulator called `name` leaves out; `say(line)` tells what is being tried."""
-    compared = {"baseline": sessions.baseline} if sessions.baseline else {}
-    return diagnose(simulator, name, sessions.training, sessions.heldout, seed=seed, say=say, **compared)
+    return diagnose(simulator, name, sessions.training, sessions.heldout, sessions.baseline, seed, say)
 
 
 @task(task_run_name="write-{folder.name}")
 def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
     """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for."""
     files.write_json(folder / STATEMENT, found.statement)
-    files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in found.model._asdict().items()})
+    constants = found.model._asdict()
+    scales = {f"scales_{name}": np.asarray(array) for name, array in constants.pop("scales")._asdict().items()}
+    files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)
     if found.experiment is None:
         (folder / EXPERIMENT).unlink(missing_ok=True)
     else:

@@ -7,18 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis import black_box, confidence, experiment, judge, locate, pictures, words
-from simgap.diagnosis.candidates import candidates, changed
+from simgap.diagnosis.candidates import candidates, changed, gated
 from simgap.diagnosis.fit import Fit, Problem, evaluate, optimise, raw_innovations, start, whitening
 from simgap.diagnosis.innovations import Chunks, Variables, cut
 from simgap.diagnosis.judge import Contestant, Judged
 from simgap.diagnosis.measure import measure
-from simgap.diagnosis.rivals import Member, defend
+from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
 from simgap.diagnosis.search import Round, Say, search
-from simgap.diagnosis.times import pushed, restrict
+from simgap.diagnosis.times import acts_when, pushed
 from simgap.diagnosis.when import When, gate
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
+from simgap.effects.effect import Scales
 from simgap.types import Recording, StepModel
 
 SEEN = 8.0
@@ -26,6 +27,8 @@ SEEN = 8.0
 EXPLAINED = 0.5
 """Share of what a black box removes that named physics must remove for the vocabulary to be the answer."""
 CREDIBLE = 0.95
+ODD_ROWS = ("sampling_interval", "dropout")
+"""Effects on the scatter that are a matter of single rows."""
 
 
 class Explained(NamedTuple):
@@ -40,13 +43,16 @@ class Explained(NamedTuple):
 
 
 class AugmentedModel(NamedTuple):
-    """The augmented simulator's constants: parameters, effects' internal constants, filter gain, one-step noise."""
+    """The augmented simulator's constants: parameters, effects' internal constants, filter gain, one-step noise of the
+    innovations that `whiten` decorrelates, and the scales that the laws refer to."""
 
     phi: Float[np.ndarray, " p"]
     theta: Float[np.ndarray, " P"]
     gain: Float[np.ndarray, " s"]
     noise_scale: Float[np.ndarray, " s"]
     noise_dof: Float[np.ndarray, " s"]
+    whiten: Float[np.ndarray, "s s"]
+    scales: Scales
 
 
 class Diagnosis(NamedTuple):
@@ -107,28 +113,39 @@ def diagnose(
         hypotheses = [changed(c) for c in throughout]
 
     def helps(problem: Problem, without: Fit, with_it: Fit) -> bool:
-        return _gain(problem, unseen, without, with_it) > 0
+        # What acts in one session of training only is nothing to the others.
+        elsewhere = not np.asarray(unseen.gate).any() and with_it.groups[-1].gated
+        return elsewhere or _gain(problem, unseen, without, with_it) > 0
 
     say(f"fitting the {len(simulator.parameters)} parameters of {name} to {len(sessions)} sessions")
     searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
     model, members, rounds = defend(searched, hypotheses, rng, say)
-    if not baseline:
-        model, members = restrict(model, members, say)
-    when = next((m.when for m in members if m.when), None)
-    say("looking at the scatter that is left")
-    scattered = scatter(model.problem, model.fit, _at(unseen, when))
-    # Late rows and lost commands look like pushes, one by one.
-    if not baseline and not {s.id for s in scattered} & {"sampling_interval", "dropout"}:
+    odd = sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.id in ODD_ROWS)
+    model, members = outshone(model, members, odd, say)
+    when = None if baseline else acts_when(model, members, say)
+    if when is not None:
+        # What acts for a while only was looked for as if it acted throughout: look again.
+        problem, unseen = problem._replace(chunks=chunks._replace(gate=gate(chunks, when))), _at(unseen, when)
+        hypotheses = [*throughout, *(gated(c) for c in throughout)]
+        searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
+        model, members, rounds = defend(searched, hypotheses, rng, say)
+        members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
+    elif not baseline and not odd:
+        # Odd rows look like pushes, one by one.
         model, members = pushed(model, members, events, rng, say)
-        when = next((m.when for m in members if m.when), None)
+    when = next((m.when for m in members if m.when), None)
     unseen = _at(unseen, when)
+    say("looking at the scatter that is left")
+    scattered = scatter(model.problem, model.fit, unseen)
     base, _ = optimise(model.problem, evaluate(model.problem, searched.base.v, searched.base.groups), 8)
     found = Explained(model.problem, base, model.fit, model.nuisance, members, [*searched.rounds, *rounds])
     say("judging on held-out sessions")
     court = _Court(found.problem, training, heldout, when)
     contestants = _contestants(found, as_is.v, chunks, rng)
     judged = {model: court.hear(c) for model, c in contestants.items()}
-    return _told(simulator, name, sessions, heldout, found, unseen, contestants, judged, scattered, as_is, rng, say)
+    return _told(
+        simulator, name, sessions, heldout, baseline, found, unseen, contestants, judged, scattered, as_is, rng, say
+    )
 
 
 def _since(chunks: Chunks, baseline: int) -> np.ndarray:
@@ -182,6 +199,7 @@ def _told(
     name: str,
     training: Sequence[Recording],
     heldout: Sequence[Recording],
+    baseline: Sequence[Recording],
     found: Explained,
     unseen: Chunks,
     contestants: dict[str, Contestant],
@@ -220,7 +238,8 @@ def _told(
     statement = {
         "schema": 1, "simulator": name, "verdict": verdict,
         "recordings": {
-            "training_sessions": [r.name for r in training], "heldout_sessions": [r.name for r in heldout],
+            "training_sessions": [r.name for r in training[len(baseline) :]], "heldout_sessions": [r.name for r in heldout],
+            "baseline": [r.name for r in baseline] or None,
             "transitions": int(np.asarray(chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*training, *heldout))),
         },
@@ -242,7 +261,10 @@ def _told(
     }
     v = found.fit.v
     noise = found.fit.noise
-    model = AugmentedModel(np.asarray(v.phi), np.asarray(v.theta), np.asarray(v.gain), noise.scale, noise.dof)
+    # Since the baseline, what changed acts besides; what acts for a while only is no part of the simulator.
+    theta = v.theta + v.gated if baseline else v.theta
+    phi, theta, gain = (np.asarray(a) for a in (v.phi, theta, v.gain))
+    model = AugmentedModel(phi, theta, gain, noise.scale, noise.dof, problem.whiten, problem.scales)
     return Diagnosis(statement, evidence, model, plan and plan[2])
 
 

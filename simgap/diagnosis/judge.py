@@ -104,7 +104,7 @@ def _distance(judged: Judged, k: int, axes: Sequence[int], i: np.ndarray) -> flo
 
 
 def resample(session: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-    """Index sets: all pieces first, then bootstrap draws of sessions, or of runs of ten pieces where sessions are few."""
+    """Index sets: all pieces, then bootstrap draws of sessions, or of runs of ten pieces where sessions are few."""
     whole = len(np.unique(session)) >= LEAST_SESSIONS
     unit = session if whole else session * 10**6 + np.arange(len(session)) // 10
     members = [np.flatnonzero(unit == u) for u in np.unique(unit)]
@@ -124,13 +124,14 @@ def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
-    """Share of the black box's one-step gain that named physics makes; None where the box gains nothing certain."""
+    """Share of the black box's one-step gain that named physics makes; None where the box gains nothing sure."""
     if difference(refitted, box, rng)["ci95"][0] <= 0:
         return None
 
     def ratio(i: np.ndarray) -> float:
         gained = (refitted.nll[i] - named.nll[i]).mean()
-        return float(gained / max((refitted.nll[i] - box.nll[i]).mean(), 1e-9))
+        # Physics can be better than the box; then it explains all there is to explain.
+        return float(np.clip(gained / max((refitted.nll[i] - box.nll[i]).mean(), 1e-9), 0.0, 1.0))
 
     return _interval(ratio, resample(refitted.session, rng))
 

@@ -8,7 +8,7 @@ import numpy as np
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
 from simgap.diagnosis.screen import blocks
-from simgap.diagnosis.search import Found, Model, Round, Say, Tried, least, one_more, without
+from simgap.diagnosis.search import LEAST_SHARE, Found, Model, Round, Say, Tried, least, one_more, without
 from simgap.diagnosis.when import When
 
 
@@ -55,6 +55,16 @@ def defend(
         else:
             members.append(member(problem, [own, *rivals], reduced.fit))
     return model, tuple(members), rounds
+
+
+def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:
+    """Without the members that gain less than their share of what odd rows do: those rows would make them up."""
+    weak = [m for m in members if m.gain < LEAST_SHARE * gain]
+    for m in weak:
+        say(f"{m.candidate.name} is too weak a sign beside rows that are odd")
+        rest = without(model.fit, m.candidate.groups)
+        model = Model(model.problem, *optimise(model.problem, evaluate(model.problem, rest.v, rest.groups), 8))
+    return model, tuple(m for m in members if m not in weak)
 
 
 def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:

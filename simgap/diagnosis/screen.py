@@ -96,9 +96,7 @@ def screen(
         d = change.reshape(len(some), -1) * root
         d = _beyond_twin(problem, fit, some, d, root)
         d = d - (d @ basis) @ basis.T
-        tested = (
-            _test(c, values, k, along, residual, cuts, low) for (c, values, k), along in zip(some, d, strict=True)
-        )
+        tested = (_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True))
         return [t for t in tested if t is not None]
 
     results = [t for part in side_by_side(batch, range(0, len(directions), BATCHES[-1])) for t in part]

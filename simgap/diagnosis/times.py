@@ -10,34 +10,30 @@ from simgap.diagnosis.fit import Fit, evaluate, optimise, refine, trials
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.screen import vary
 from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, without
-from simgap.diagnosis.when import When, gate, onset, rows_of, scores, stretch, stretch_by_chance
+from simgap.diagnosis.when import LASTING, PUSH, When, gate, onset, rows_of, scores, stretch, stretch_by_chance
 
 OWED = 8.0
 """Gain [nats] that an effect's beginning and end owe: two numbers, the best of some hundreds tried."""
 
 
-def restrict(model: Model, members: tuple[Member, ...], say: Say) -> tuple[Model, tuple[Member, ...]]:
-    """The first effect that fits better from a time on, or during a stretch of one session, acts there only."""
+def acts_when(model: Model, members: tuple[Member, ...], say: Say) -> When | None:
+    """When the first effect acts that fits better from a time on, or during a stretch of one session; None if none."""
     problem, fit, _ = model
     rows = rows_of(problem.chunks)
-    for i, member in enumerate(members):
+    for member in members:
         if any(c.shapes for c in member.candidate.effect.constants):
             continue  # it has an onset of its own
         score, power = scores(fit, evaluate(problem, without(fit, member.candidate.groups).v, (), fit.noise).e, fit.e)
         throughout = 0.5 * score.sum() ** 2 / max(power.sum(), 1e-9)
         from_on, a = onset(rows, score, power)
-        during, b = stretch(rows, score, power)
+        during, b = stretch(rows, score, power, LASTING)
         when, more = max(((from_on, a), (during, b - throughout)), key=lambda w: w[1])
         if more > OWED:
-            at = _open(model, when)
-            tried = _behind_gate(at, member.candidate)
-            if tried.loglik > fit.loglik + OWED:
-                candidate = gated(member.candidate)
-                say(f"{candidate.name} acts from {when.from_s:.1f} s on ({tried.loglik - fit.loglik:+.1f} nats)")
-                at = Model(at.problem, *optimise(at.problem, tried, 6))
-                changed = member._replace(candidate=candidate, when=when, gain=at.fit.loglik - member.without.loglik)
-                return at, (*members[:i], changed, *members[i + 1 :])
-    return model, members
+            more = _behind_gate(_open(model, when), member.candidate).loglik - fit.loglik
+            if more > OWED:
+                say(f"{member.candidate.name} acts from {when.from_s:.1f} s on ({more:+.1f} nats)")
+                return when
+    return None
 
 
 def pushed(
@@ -50,7 +46,7 @@ def pushed(
     for event in events:
         with_it = trials(problem, jax.tree.map(lambda a: a[None], vary(fit.v, event, event.starts[0])))[0]
         score, power = scores(fit, fit.e, with_it)
-        when, gain = stretch(rows, score, power)
+        when, gain = stretch(rows, score, power, PUSH)
         tried.append((gain, event, when, score, power))
     if not tried or any(m.when for m in members):
         return model, members

@@ -9,8 +9,12 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.fit import Fit, weights
 from simgap.diagnosis.innovations import Chunks
 
-LENGTHS = (4, 7, 12, 20, 32, 50, 80)
+LENGTHS = (4, 7, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
 """Rows of the stretches that are tried; edges are refined afterwards."""
+PUSH = 4
+"""Rows of the shortest push."""
+LASTING = 50
+"""Rows of the shortest stretch in which a law of motion may hold and not elsewhere."""
 ONSETS = 40
 FLIP = 8
 """Rows that share a sign in the bootstrap of stretches."""
@@ -72,17 +76,17 @@ def onset(rows: Rows, score: np.ndarray, power: np.ndarray) -> tuple[When, float
     return best
 
 
-def stretch(rows: Rows, score: np.ndarray, power: np.ndarray) -> tuple[When, float]:
-    """The best stretch of one session, and its gain [nats]."""
+def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[When, float]:
+    """The best stretch of at least so many rows of one session, and its gain [nats]."""
     best, where = 0.0, (0, 0, 0)
     for s in np.unique(rows.session):
         mine = np.flatnonzero(rows.session == s)
-        gain, start, length = _best_window(score[mine], power[mine])
+        gain, start, length = _best_window(score[mine], power[mine], shortest)
         if gain > best:
             best, where = gain, (int(s), start, length)
     s, start, length = where
     mine = np.flatnonzero(rows.session == s)
-    start, stop = _edges(score[mine], power[mine], start, start + length)
+    start, stop = _edges(score[mine], power[mine], start, start + length, shortest)
     time = rows.time_s[mine]
     step = np.median(np.diff(time)) if len(time) > 1 else 0.0
     gain = _gain(score[mine[start:stop]].sum(), power[mine[start:stop]].sum())
@@ -92,11 +96,17 @@ def stretch(rows: Rows, score: np.ndarray, power: np.ndarray) -> tuple[When, flo
 def stretch_by_chance(
     rows: Rows, score: np.ndarray, power: np.ndarray, level: float, rng: np.random.Generator
 ) -> float:
-    """Gain [nats] that the best stretch reaches by chance with probability `level`, extrapolated from random signs."""
+    """Gain [nats] that the best stretch reaches by chance with probability `level`, extrapolated from random signs.
+
+    The best stretch itself takes no part: if something happened there, it is not chance.
+    """
+    when, _ = stretch(rows, score, power, PUSH)
+    inside = (rows.session == when.session) & (rows.time_s >= when.from_s) & (rows.time_s < when.to_s)
+    score = np.where(inside, 0.0, score)
     best = []
     for _ in range(DRAWS):
         sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
-        best.append(max(_best_window(score[m] * sign[m], power[m])[0] for m in _sessions(rows)))
+        best.append(max(_best_window(score[m] * sign[m], power[m], PUSH)[0] for m in _sessions(rows)))
     # Gains of many stretches have an exponential tail: Gumbel, by its moments.
     scale = np.std(best) * np.sqrt(6) / np.pi
     return float(np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level)))
@@ -110,12 +120,10 @@ def _gain(score: float, power: float) -> float:
     return 0.5 * score**2 / power if power > 1e-9 else 0.0
 
 
-def _best_window(score: np.ndarray, power: np.ndarray) -> tuple[float, int, int]:
+def _best_window(score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[float, int, int]:
     s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
     best = (0.0, 0, min(LENGTHS[0], len(score)))
-    for length in LENGTHS:
-        if length > len(score):
-            break
+    for length in (k for k in LENGTHS if shortest <= k <= len(score)):
         gain = 0.5 * (s[length:] - s[:-length]) ** 2 / np.maximum(p[length:] - p[:-length], 1e-9)
         k = int(gain.argmax())
         if gain[k] > best[0]:
@@ -123,12 +131,12 @@ def _best_window(score: np.ndarray, power: np.ndarray) -> tuple[float, int, int]
     return best
 
 
-def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int) -> tuple[int, int]:
+def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int, shortest: int) -> tuple[int, int]:
     """Move both edges to where the gain is greatest."""
     s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
     for _ in range(3):
-        starts = np.arange(0, stop - 1)
+        starts = np.arange(0, max(stop - shortest, 0) + 1)
         start = int(starts[np.argmax((s[stop] - s[starts]) ** 2 / np.maximum(p[stop] - p[starts], 1e-9))])
-        stops = np.arange(start + 2, len(score) + 1)
+        stops = np.arange(min(start + shortest, len(score)), len(score) + 1)
         stop = int(stops[np.argmax((s[stops] - s[start]) ** 2 / np.maximum(p[stops] - p[start], 1e-9))])
     return start, stop

@@ -128,8 +128,11 @@ def advance(
     for effect, c in augmented.constants(theta, "before"):
         start = effect.law(c, start, layout, scales)
 
-    then = simulator.step(phi, start, u)
-    step = Step(motion(layout, state), motion(layout, then), u, layout, scales, row)
+    now, then = motion(layout, state), simulator.step(phi, start, u)
+    expected = motion(layout, then)
+    du, dv, _ = push(layout, now.heading, jnp.ones_like(now.velocity))
+    response = motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
+    step = Step(now, expected, response, u, layout, scales, row)
     pushes = [effect.law(c, step) for effect, c in augmented.constants(theta, "push")]
     total = sum(pushes, jnp.zeros_like(step.now.velocity))
     du, dv, dp = push(layout, step.now.heading, total)

@@ -119,10 +119,14 @@ class Effect:
 
 
 class Step(NamedTuple):
-    """What a push can look at: the motion now, the motion the simulator expects, command and layout."""
+    """What a push can look at: the motion now, the motion the simulator expects, command and layout.
+
+    response: change of the expected own velocity per unit of push, by body and axis.
+    """
 
     now: Motion
     then: Motion
+    response: Float[Array, "b 4"]
     command: Float[Array, " u"]
     layout: Layout
     scales: Scales

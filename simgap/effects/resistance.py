@@ -6,14 +6,11 @@ from jaxtyping import Array, Float
 from simgap.effects.effect import Constant, Effect, Scales, Step, axis_sites, body_sites, on_axes, turning
 from simgap.layout import YAW, X, Y
 
-STICK = 0.05
-"""Share of an axis' usual speed below which friction fades, for a law with a slope everywhere."""
-
-
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """-c sign(v), fading at rest."""
-    slow = STICK * step.scales.speed + 1e-6
-    return -on_axes(step.layout, c[0]) * jnp.tanh(step.now.velocity / slow)
+    """-c sign(v'), or what stops the motion within the step where c suffices for that: it sticks."""
+    stops = step.then.velocity / jnp.where(jnp.abs(step.response) > 1e-6, step.response, jnp.inf)
+    most = on_axes(step.layout, c[0])
+    return -jnp.clip(stops, -most, most)
 
 
 def _viscous(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:

@@ -1,0 +1,213 @@
+"""The fit finds what was planted, as surely as it says; noise is told by scale and tails."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from planted import PHI, SPOT, theta
+from scipy import stats
+from small import KEYS, acting, problem, sessions
+
+from examples.drive import PARAMETERS, SCHEMA
+from simgap.diagnosis import confidence
+from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.fit import (
+    Group,
+    Noise,
+    Problem,
+    constant_columns,
+    directions,
+    evaluate,
+    fit_noise,
+    log_density,
+    nuisance_columns,
+    optimise,
+    start,
+    trials,
+    weights,
+    whitening,
+)
+from simgap.diagnosis.innovations import cut
+from simgap.diagnosis.measure import measure
+from simgap.diagnosis.search import Model, refit
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Augmented, Slot
+from simgap.types import DivergenceError, Parameter, Recording, Schema
+
+
+def fitted(training: list[Recording], groups: tuple[Group, ...] = ()) -> Model:
+    of = problem(training)
+    begun = evaluate(of, start(of), groups)
+    of = of._replace(whiten=whitening(begun.e))
+    return refit(of, evaluate(of, begun.v, groups))
+
+
+def group(key: str, sites: tuple[int, ...]) -> Group:
+    e = [effect.key for effect in CATALOGUE].index(key)
+    return Group(tuple(SPOT.index[Slot(e, 0, s)] for s in sites))
+
+
+# Parameters
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_parameters_of_a_null_are_found_within_their_own_intervals(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    planted = PHI.copy()
+    planted[:6] *= rng.uniform(0.7, 1.2, 6)
+    planted[18:] = rng.uniform(0.95, 1.6, 6)
+    training, _ = sessions({}, seed=20 + seed, phi=planted)
+    model = fitted(training)
+    sd = confidence.spread(model.problem, model.fit, model.nuisance).phi
+    z = (np.asarray(model.fit.v.phi) - planted) / sd
+    assert np.abs(z).max() < 4
+    assert (np.abs(z) < confidence.Z95).mean() > 0.8
+    # And they are intervals worth having: the memories' and the advances'.
+    assert (sd[:6] < 0.05).all()
+    assert (sd[18:] < 0.05).all()
+
+
+def test_a_constant_is_found_within_its_own_interval() -> None:
+    training, _ = sessions(acting("delay", (1.4,), (0, 1, 2)), seed=5)
+    model = fitted(training, (group("delay", (0, 1, 2)),))
+    sd = confidence.spread(model.problem, model.fit, model.nuisance).constants
+    found = np.asarray(model.fit.v.theta)
+    np.testing.assert_array_equal(found[[i for i in range(len(found)) if i not in model.fit.groups[0].entries]], 0)
+    rows = found[list(model.fit.groups[0].entries)]
+    assert np.ptp(rows) == 0  # one constant, shared
+    assert abs(rows[0] - 1.4) < 4 * sd[0]
+    assert sd[0] < 0.1
+
+
+def test_constants_stay_within_their_bounds() -> None:
+    training, _ = sessions(acting("viscous_drag", (0.0,)), seed=6)
+    free = (group("coulomb_friction", (0,)), group("viscous_drag", (0,)), group("saturation", (0,)))
+    model = fitted(training, free)
+    low, high = SPOT.bounds
+    found = np.asarray(model.fit.v.theta)
+    assert (found >= low).all()
+    assert (found <= high).all()
+
+
+def test_every_step_of_the_fit_is_an_improvement() -> None:
+    training, _ = sessions({}, seed=7)
+    of = problem(training)
+    of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
+    logliks = [evaluate(of, start(of), ()).loglik]
+    for iterations in (1, 3):
+        logliks.append(optimise(of, evaluate(of, start(of), ()), iterations)[0].loglik)
+    assert logliks == sorted(logliks)
+    assert logliks[-1] > logliks[0] + 50
+
+
+# Derivatives
+
+
+def test_columns_are_derivatives_of_the_decorrelated_innovations() -> None:
+    training, _ = sessions({}, seed=8)
+    of = problem(training)
+    of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
+    v = start(of)._replace(theta=jnp.asarray(theta(acting("gain", (0.1,), (0,)))))
+    groups = (group("gain", (0,)), group("delay", (3, 4, 5)))
+    columns = np.concatenate([nuisance_columns(of, v), constant_columns(of, v, groups)])
+    free, precision = directions(of, groups)
+    assert len(columns) == len(precision) == 24 + 12 + 2
+    e = trials(of, v._replace(**{k: getattr(v, k)[None] for k in v._fields}))[0]
+    rng = np.random.default_rng(0)
+    along = rng.normal(size=len(columns)) * 1e-3
+    along[-1] = abs(along[-1])  # a dead time is at its bound
+    moved = v._replace(
+        **{k: (getattr(v, k) + jnp.asarray(along, jnp.float32) @ getattr(free, k))[None] for k in v._fields}
+    )
+    change, expected = trials(of, moved)[0] - e, np.tensordot(along, columns, 1)
+    assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(change)
+
+
+# Noise
+
+
+@pytest.mark.parametrize(("scale", "dof"), [(0.7, 3.0), (0.02, 5.0), (40.0, 10.0)])
+def test_scale_and_tails_of_noise_are_found(scale: float, dof: float) -> None:
+    e = np.stack([stats.t.rvs(dof, scale=s * scale, size=20000, random_state=k) for k, s in enumerate((1, 3))], axis=1)
+    noise = fit_noise(e)
+    np.testing.assert_allclose(noise.scale, [scale, 3 * scale], rtol=0.05)
+    assert (noise.dof >= 0.7 * dof).all()
+    assert (noise.dof <= 1.45 * dof).all()
+
+
+def test_gaussian_noise_has_no_tails() -> None:
+    noise = fit_noise(np.random.default_rng(0).normal(size=(20000, 2)) * [0.5, 2.0])
+    np.testing.assert_array_equal(noise.dof, 60)
+    np.testing.assert_allclose(noise.scale, [0.5, 2.0], rtol=0.03)
+
+
+def test_log_density_is_scipys() -> None:
+    e = np.random.default_rng(0).normal(size=(50, 2))
+    noise = Noise(np.array([0.5, 2.0]), np.array([3.0, 20.0]))
+    np.testing.assert_allclose(log_density(e, noise), stats.t.logpdf(e, noise.dof, scale=noise.scale), rtol=1e-10)
+
+
+def test_weights_are_the_slope_of_the_density() -> None:
+    e = np.linspace(-3, 3, 31)[:, None] + 0.01
+    noise = Noise(np.array([0.5]), np.array([4.0]))
+    slope = (log_density(e + 1e-6, noise) - log_density(e - 1e-6, noise)) / 2e-6
+    np.testing.assert_allclose(-weights(e, noise) * e, slope, rtol=1e-6, atol=1e-8)
+
+
+# Whitening
+
+
+@pytest.mark.parametrize("outliers", [0, 20])
+def test_whitened_output_is_uncorrelated_with_unit_scale(outliers: int) -> None:
+    rng = np.random.default_rng(1)
+    mixing = np.array([[1e-3], [1.0], [30.0], [1.0], [1.0]]) * (rng.normal(size=(5, 5)) + 5 * np.eye(5))
+    e = rng.normal(size=(4000, 5)) @ mixing.T
+    e[:outliers] *= 100
+    white = (e @ whitening(e).T)[outliers:]
+    np.testing.assert_allclose(np.cov(white.T), np.eye(5), atol=0.1)
+
+
+def test_whitening_bears_outputs_that_never_change() -> None:
+    e = np.random.default_rng(1).normal(size=(500, 3)) * [1.0, 0.0, 2.0]
+    white = e @ whitening(e).T
+    assert np.isfinite(white).all()
+    np.testing.assert_allclose(white[:, [0, 2]].std(0), 1, atol=0.1)
+
+
+# Divergence
+
+
+@dataclass(frozen=True)
+class Explosive:
+    """A drive that leaves the finite numbers within a few steps."""
+
+    time_step: float = 0.02
+    schema: Schema = SCHEMA
+    parameters: tuple[Parameter, ...] = PARAMETERS
+
+    def step(self, params, state, command):
+        return state * 1e30 + params[0] * command[0] + 1e20
+
+
+def drives() -> list[Recording]:
+    rng = np.random.default_rng(0)
+    time_s = np.arange(100) * 0.02
+    return [Recording(str(k), time_s, rng.normal(size=(100, 2)), rng.normal(size=(100, 1))) for k in range(4)]
+
+
+def test_a_diverging_simulator_is_told() -> None:
+    augmented, recorded = Augmented(Explosive()), drives()
+    of = Problem(augmented, measure(augmented, recorded), cut(recorded, 0.02), np.eye(2))
+    with pytest.raises(DivergenceError, match="finite"):
+        optimise(of, evaluate(of, start(of), ()), 2)
+
+
+def test_a_diverging_simulator_is_told_by_the_diagnosis() -> None:
+    recorded = drives()
+    with pytest.raises(DivergenceError, match="finite"):
+        diagnose(Explosive(), "explosive", recorded[:3], recorded[3:])
+
+
+def test_keys_are_known() -> None:
+    assert set(KEYS) == {effect.key for effect in CATALOGUE}
