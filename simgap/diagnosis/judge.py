@@ -44,15 +44,11 @@ class Judged(NamedTuple):
     session: np.ndarray
 
 
-def judge(problem: Problem, contestant: Contestant, training: Chunks | None, pieces: Chunks | None) -> Judged | None:
+def judge(problem: Problem, contestant: Contestant, training: Chunks, pieces: Chunks) -> Judged:
     """Judge on pieces of held-out sessions; the one-step noise is fitted on pieces of training sessions first."""
-    noise = None
-    if training is not None:
-        first = forecasts(problem, contestant, training)[:, 0]
-        e = np.asarray(wrap(problem.augmented, _measured(training)[:, 0] - first)) @ problem.whiten.T
-        noise = fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
-    if pieces is None:
-        return None
+    first = forecasts(problem, contestant, training)[:, 0]
+    e = np.asarray(wrap(problem.augmented, _measured(training)[:, 0] - first)) @ problem.whiten.T
+    noise = fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
     predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
     error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))

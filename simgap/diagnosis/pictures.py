@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from simgap.diagnosis.candidates import Candidate, unit_of
+from simgap.diagnosis.experiment import Experiment
 from simgap.diagnosis.fit import Fit, Problem, counted, log_density, raw_innovations, trials
 from simgap.diagnosis.forecast import windows
 from simgap.diagnosis.innovations import RUN_IN, Chunks
@@ -108,3 +109,13 @@ def _activity(recording: Recording, pieces: Chunks, steps: int) -> list[float]:
     """How much is commanded in each piece."""
     size = np.abs(recording.command / np.maximum(np.abs(recording.command).max(0), 1e-9)).sum(1)
     return [float(size[r + RUN_IN : r + RUN_IN + steps].sum()) for r in pieces.row]
+
+
+def commands(problem: Problem, experiment: Experiment) -> dict:
+    """An experiment's commands by channel, with their units."""
+    fields = problem.augmented.simulator.schema.command
+    return {
+        "time_s": experiment.time_s,
+        "channels": {f.name: experiment.commands[:, i] for i, f in enumerate(fields)},
+        "units": {f.name: f.unit for f in fields},
+    }

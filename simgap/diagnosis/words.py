@@ -1,5 +1,6 @@
 """A diagnosis in an engineer's words."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from simgap.diagnosis.candidates import Candidate
@@ -34,7 +35,7 @@ def during(when: When | None, session: str | None) -> str:
     return f" It acts from {when.from_s:.1f} s to {when.to_s:.1f} s of session {session} only."
 
 
-def experiment(designed: Experiment, ids: list[str]) -> str:
+def experiment(designed: Experiment, ids: Sequence[str]) -> str:
     """What to command, and what for."""
     return (
         f"To tell {ids[0]} from {ids[1]}, start at rest and command {designed.words}; "

@@ -1,0 +1,130 @@
+"""The numbers behind a diagnosis: which effects, acting when, and what scatter, explain the recordings best."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.candidates import candidates, changed, gated
+from simgap.diagnosis.fit import Fit, Problem, evaluate, optimise, start, whitening
+from simgap.diagnosis.innovations import Chunks, cut
+from simgap.diagnosis.measure import measure
+from simgap.diagnosis.rivals import Member, defend, outshone
+from simgap.diagnosis.scatter import Scatter, scatter
+from simgap.diagnosis.search import Round, Say, search
+from simgap.diagnosis.times import acts_when, pushed
+from simgap.diagnosis.when import When, gate
+from simgap.effects.augmented import Augmented
+from simgap.types import Recording, StepModel
+
+ODD_ROWS = ("sampling_interval", "dropout")
+"""Effects on the scatter that are a matter of single rows."""
+
+
+class Explanation(NamedTuple):
+    """The best explanation of the recordings.
+
+    as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
+    members: the effects; scattered: those on the scatter. unseen: the held-out rows, gated as the effects are.
+    when: the time when one of the effects acts, if not throughout. rounds: what was tried.
+    """
+
+    problem: Problem
+    as_is: Fit
+    base: Fit
+    fit: Fit
+    nuisance: Float[np.ndarray, "M n s"]
+    members: tuple[Member, ...]
+    scattered: list[Scatter]
+    unseen: Chunks
+    when: When | None
+    rounds: list[Round]
+
+
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Sessions to fit and sessions held out: every fourth, the last of fewer; the last quarter of a single one."""
+    if len(recordings) == 1:
+        (r,) = recordings
+        edge = 3 * len(r.time_s) // 4
+        part = lambda name, rows: Recording(name, r.time_s[rows], r.state[rows], r.command[rows])  # noqa: E731
+        return [part(r.name, slice(0, edge))], [part(f"{r.name} (last quarter)", slice(edge, None))]
+    held = set(range(3, len(recordings), 4)) or {len(recordings) - 1}
+    return [r for i, r in enumerate(recordings) if i not in held], [r for i, r in enumerate(recordings) if i in held]
+
+
+def explain(
+    simulator: StepModel,
+    training: Sequence[Recording],
+    heldout: Sequence[Recording],
+    baseline: Sequence[Recording],
+    rng: np.random.Generator,
+    say: Say,
+) -> Explanation:
+    """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`."""
+    augmented = Augmented(simulator)
+    sessions = [*baseline, *training]
+    scales, time_step = measure(augmented, sessions), simulator.time_step
+    chunks = cut(sessions, time_step)
+    chunks = chunks._replace(gate=_since(chunks, len(baseline)))
+    unseen = cut(heldout, time_step, least=len(chunks.row))
+    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.state)))
+    as_is = evaluate(problem, start(problem), ())
+    problem = problem._replace(whiten=whitening(as_is.e))
+    throughout, events = candidates(augmented, scales), candidates(augmented, scales, events=True)
+    hypotheses = throughout
+    if baseline:
+        say(f"what the baseline of {len(baseline)} sessions shows by itself")
+        before = problem._replace(chunks=cut(baseline, time_step, least=len(chunks.row)))
+        agree = lambda *_: True  # noqa: E731  # no session of the baseline is held out
+        known = search(before, evaluate(before, as_is.v, ()), throughout, agree, rng, say).model.fit
+        as_is = evaluate(problem, known.v, known.groups)
+        hypotheses = [changed(c) for c in throughout]
+
+    def helps(problem: Problem, without: Fit, with_it: Fit) -> bool:
+        # What acts in one session of training only is nothing to the others.
+        elsewhere = not np.asarray(unseen.gate).any() and with_it.groups[-1].gated
+        return elsewhere or gain(problem, unseen, without, with_it) > 0
+
+    say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
+    searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
+    model, members, rounds = defend(searched, hypotheses, rng, say)
+    odd = sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.id in ODD_ROWS)
+    model, members = outshone(model, members, odd, say)
+    when = None if baseline else acts_when(model, members, say)
+    if when is not None:
+        # What acts for a while only was looked for as if it acted throughout: look again.
+        problem, unseen = problem._replace(chunks=chunks._replace(gate=gate(chunks, when))), seen_at(unseen, when)
+        hypotheses = [*throughout, *(gated(c) for c in throughout)]
+        searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
+        model, members, rounds = defend(searched, hypotheses, rng, say)
+        members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
+    elif not baseline and not odd:
+        # Odd rows look like pushes, one by one.
+        model, members = pushed(model, members, events, rng, say)
+    when = next((m.when for m in members if m.when), None)
+    unseen = seen_at(unseen, when)
+    say("looking at the scatter that is left")
+    scattered = scatter(model.problem, model.fit, unseen)
+    base, _ = optimise(model.problem, evaluate(model.problem, searched.base.v, searched.base.groups), 8)
+    tried = [*searched.rounds, *rounds]
+    return Explanation(model.problem, as_is, base, model.fit, model.nuisance, members, scattered, unseen, when, tried)
+
+
+def _since(chunks: Chunks, baseline: int) -> np.ndarray:
+    """Gate that is open in the sessions after those of the baseline."""
+    return np.repeat((np.asarray(chunks.session) >= baseline)[:, None], chunks.gate.shape[1], 1).astype(np.float32)
+
+
+def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
+    """Log-likelihood [nats] that held-out sessions gain, all constants as fitted."""
+    on = problem._replace(chunks=unseen)
+    a, b = (evaluate(on, f.v, (), f.noise).loglik for f in (without, with_it))
+    return b - a
+
+
+def seen_at(unseen: Chunks, when: When | None) -> Chunks:
+    """Held-out rows with the gate open when an effect acts there: never, where it belongs to a session of training."""
+    if when is not None and when.session is not None:
+        return unseen._replace(gate=0 * unseen.gate)
+    return unseen._replace(gate=gate(unseen, when))

@@ -1,0 +1,254 @@
+"""A diagnosis as it is told: the statement that becomes diagnosis.json, and the numbers behind its pictures."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis import black_box, confidence, judge, locate, pictures, words
+from simgap.diagnosis.experiment import Experiment
+from simgap.diagnosis.explain import Explanation, gain
+from simgap.diagnosis.fit import evaluate, raw_innovations
+from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.judge import Contestant, Judged
+from simgap.diagnosis.rivals import Member
+from simgap.diagnosis.scatter import Scatter
+from simgap.effects import CATALOGUE
+from simgap.types import Recording
+
+SEEN = 8.0
+"""Nats that an effect of usual strength must be able to gain for the recordings to show it."""
+EXPLAINED = 0.5
+"""Share of what a black box removes that named physics must remove for the vocabulary to be the answer."""
+CREDIBLE = 0.95
+MISMATCH = ("missing_physics", "unexplained")
+"""Verdicts with something to locate."""
+
+
+class Sessions(NamedTuple):
+    """Recordings by what they served."""
+
+    training: Sequence[Recording]
+    heldout: Sequence[Recording]
+    baseline: Sequence[Recording]
+
+    @property
+    def fitted(self) -> list[Recording]:
+        """In the order in which the chunks number them."""
+        return [*self.baseline, *self.training]
+
+
+class Plan(NamedTuple):
+    """An experiment and the two effects that it tells apart."""
+
+    experiment: Experiment
+    separates: tuple[str, str]
+
+
+def statement(
+    name: str,
+    found: Explanation,
+    sessions: Sessions,
+    contestants: dict[str, Contestant],
+    judged: dict[str, Judged],
+    plan: Plan | None,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    """All six answers in plain values, in the layout of diagnosis.json."""
+    layout = found.problem.augmented.layout
+    share, verdict = _verdict(found, judged, rng)
+    sd = confidence.spread(found.problem, found.fit, found.nuisance)
+    effects = [_effect(found, m, sd, sessions.fitted) for m in found.members]
+    told = {
+        "schema": 1, "simulator": name, "verdict": verdict,
+        "recordings": {
+            "training_sessions": [r.name for r in sessions.training],
+            "heldout_sessions": [r.name for r in sessions.heldout],
+            "baseline": [r.name for r in sessions.baseline] or None,
+            "transitions": int(np.asarray(found.problem.chunks.counts).sum()),
+            "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
+        },
+        "located": _located(found, sessions, contestants, verdict, rng),
+        "effects": [*effects, *(_scattered(s) for s in found.scattered)],
+        "alternatives": _alternatives(found.members),
+        "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
+                                "commands": "experiment.csv", "separates": list(plan.separates)},
+        "parameters": _parameters(found, sd),
+        "fit": {
+            "heldout_sessions": [r.name for r in sessions.heldout],
+            "models": {model: judge.scores(layout, j, rng) for model, j in judged.items()},
+            "explained_share": share and share["value"], "explained_share_ci95": share and share["ci95"],
+        },
+        "blind": _blind(found), "rounds": _rounds(found), "notes": _notes(sessions),
+    }  # fmt: skip
+    return {**told, "statement": words.statement(told)}
+
+
+def evidence(
+    found: Explanation, sessions: Sessions, contestants: dict[str, Contestant], verdict: str, plan: Plan | None
+) -> dict[str, Any]:
+    """Arrays for the pictures."""
+    problem = found.problem
+    trained, held = (_excess(found, contestants, verdict, c) for c in (problem.chunks, found.unseen))
+    longest = max(sessions.heldout, key=lambda r: len(r.time_s))
+    return {
+        "heat": locate.heat(problem.augmented, trained),
+        "strips": [*locate.strips(trained, sessions.fitted, False), *locate.strips(held, sessions.heldout, True)],
+        "laws": [p for m in found.members for p in pictures.laws(problem, found.fit, m.candidate, trained)],
+        "rollouts": pictures.rollouts(problem, longest, contestants),
+        "experiment": plan and pictures.commands(problem, plan.experiment),
+    }
+
+
+def _verdict(
+    found: Explanation, judged: dict[str, Judged], rng: np.random.Generator
+) -> tuple[dict[str, Any] | None, str]:
+    """Share of the black box's gain that named physics makes, and the verdict."""
+    if not judged:
+        return None, "missing_physics" if found.members or found.scattered else "nothing"
+    refitted = judged["refitted"]
+    share = judge.explained_share(refitted, judged.get("augmented", refitted), judged["black_box"], rng)
+    if found.members:
+        return share, "unexplained" if share is not None and share["ci95"][1] < EXPLAINED else "missing_physics"
+    if share is not None:
+        return share, "unexplained"
+    if found.scattered:
+        return share, "missing_physics"
+    moved = judge.difference(judged["as_is"], refitted, rng)["ci95"][0] > 0
+    return share, "parameters_only" if moved else "nothing"
+
+
+def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str, chunks: Chunks) -> locate.Excess:
+    """What the best explanation gains over the refitted simulator: named physics, or else the black box."""
+    problem = found.problem._replace(chunks=chunks)
+    base = raw_innovations(problem, found.base.v)
+    if found.members and verdict == "missing_physics":
+        return locate.excess(problem.augmented, chunks, base, raw_innovations(problem, found.fit.v))
+    box = contestants["black_box"].box
+    assert box is not None  # the black box is one
+    predicted = np.asarray(black_box.predicted(problem.augmented, box, chunks))
+    return locate.excess(problem.augmented, chunks, base, base - predicted)
+
+
+def _located(
+    found: Explanation,
+    sessions: Sessions,
+    contestants: dict[str, Contestant],
+    verdict: str,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    problem = found.problem
+    if verdict not in MISMATCH:
+        return {"outputs": [], "regimes": [], "intervals": [], "depends_on": []}
+    where = _excess(found, contestants, verdict, problem.chunks)
+    depends: list[tuple[str, float]] = []
+    box = contestants["black_box"].box
+    if verdict == "unexplained" and box is not None:
+        raw = raw_innovations(problem, found.base.v)
+        depends = black_box.dependence(problem.augmented, box, problem.chunks, raw, rng)[:3]
+    return {
+        "outputs": locate.outputs(problem.augmented, where),
+        "regimes": locate.regimes(where),
+        "intervals": _intervals(found, where, sessions.fitted),
+        "depends_on": [{"input": i, "share": s} for i, s in depends],
+    }
+
+
+def _scattered(s: Scatter) -> dict[str, Any]:
+    return {
+        "id": s.id, "form": "scatter", "where": "all", "probability": 1.0, "channels": [], "outputs": list(s.outputs),
+        "statement": s.statement, "constants": s.constants, "credible_set": [s.id], "gain_nats": s.gain,
+        "heldout_gain_nats": s.heldout_gain, "from_s": None,
+    }  # fmt: skip
+
+
+def _effect(found: Explanation, member: Member, sd: confidence.Spread, fitted: Sequence[Recording]) -> dict[str, Any]:
+    problem, candidate = found.problem, member.candidate
+    constants = confidence.constants(problem, found.fit, candidate, sd)
+    cumulative, credible = 0.0, []
+    for effect, p in member.odds.items():
+        credible.append(effect)
+        cumulative += p
+        if cumulative >= CREDIBLE:
+            break
+    outputs = candidate.outputs or tuple(f.name for f in problem.augmented.simulator.schema.state)
+    when = member.when
+    if when is not None and candidate.effect.event:
+        step = problem.scales.time_step
+        constants += [{"name": n, "value": t, "unit": "s", "ci95": [t - 3 * step, t + 3 * step]}
+                      for n, t in (("from", when.from_s), ("to", when.to_s))]  # fmt: skip
+    during = words.during(when, fitted[when.session].name if when and when.session is not None else None)
+    return {
+        "id": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where,
+        "probability": member.odds[candidate.effect.id], "channels": list(candidate.channels),
+        "outputs": list(outputs), "statement": words.effect(candidate, constants) + during, "constants": constants,
+        "credible_set": credible, "gain_nats": member.gain,
+        "heldout_gain_nats": gain(problem, found.unseen, evaluate(problem, member.without.v, ()), found.fit),
+        "from_s": when and when.from_s,
+    }  # fmt: skip
+
+
+def _intervals(found: Explanation, where: locate.Excess, fitted: Sequence[Recording]) -> list[dict[str, Any]]:
+    """When effects act that do not act throughout; else where the excess is, if it is in one place."""
+    told = []
+    for when in (m.when for m in found.members if m.when is not None):
+        for s, r in enumerate(fitted):
+            if when.session in (None, s) and r.time_s[-1] - r.time_s[0] > when.from_s:
+                end = min(when.to_s, float(r.time_s[-1] - r.time_s[0]))
+                told.append({"session": r.name, "from_s": when.from_s, "to_s": end, "share": None})
+    return told or locate.intervals(where, fitted)
+
+
+def _alternatives(members: Sequence[Member]) -> list[dict[str, Any]]:
+    """Other sets: one member replaced by what could stand in its place."""
+    ids = [m.candidate.effect.id for m in members]
+    return [
+        {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}
+        for i, m in enumerate(members)
+        for other, p in m.odds.items()
+        if other != ids[i] and p > 0.001
+    ]
+
+
+def _parameters(found: Explanation, sd: confidence.Spread) -> dict[str, Any]:
+    simulator = found.problem.augmented.simulator
+    names = [p.name for p in simulator.parameters]
+    before, after = (dict(zip(names, map(float, np.asarray(f.v.phi)), strict=True)) for f in (found.as_is, found.fit))
+    width = dict(zip(names, confidence.Z95 * sd.phi, strict=True))
+    return {
+        "before": before, "after": after,
+        "ci95": {n: [after[n] - float(width[n]), after[n] + float(width[n])] for n in names},
+        "units": {p.name: p.unit for p in simulator.parameters},
+        "ranges": {p.name: [p.low, p.high] for p in simulator.parameters},
+    }  # fmt: skip
+
+
+def _blind(found: Explanation) -> list[dict[str, str]]:
+    """Effects that these recordings could not have shown at a usual strength."""
+    power: dict[str, float] = {}
+    for s in found.rounds[0].screening.found:
+        power[s.candidate.effect.id] = max(power.get(s.candidate.effect.id, 0.0), s.power)
+    present = {e.id for e, sites in zip(CATALOGUE, found.problem.augmented.sites, strict=True) if sites}
+    weak = {e: p for e, p in power.items() if p < SEEN and e in present}
+    return [{"effect": e, "reason": words.blind(p)} for e, p in weak.items()]
+
+
+def _rounds(found: Explanation) -> list[dict[str, Any]]:
+    return [
+        {
+            "threshold_nats": r.screening.threshold / 2, "p_value": r.screening.p_value, "accepted": r.accepted,
+            "candidates": [
+                {"effect": t.candidate.effect.key, "where": t.candidate.where, "gain_nats": t.gain} for t in r.tried
+            ] or [
+                {"effect": s.candidate.effect.key, "where": s.candidate.where, "gain_nats": s.gain}
+                for s in r.screening.found[:5]
+            ],
+        }
+        for r in found.rounds
+    ]  # fmt: skip
+
+
+def _notes(sessions: Sessions) -> list[str]:
+    if len(sessions.heldout) < judge.LEAST_SESSIONS:
+        return ["Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."]
+    return []
