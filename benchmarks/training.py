@@ -369,7 +369,7 @@ def grid_minutes(params: Params, figures: Mapping[str, Any]) -> dict[str, float]
     """
     minutes: dict[str, float] = dict.fromkeys(params.train.models, 0.0)
     for cell in grid(params.train):
-        measured = figures[cell.model]
+        measured = figures[cell.method]  # with a diagnosed simulator it steps like its twin
         ms = measured["ms_per_model_and_step"][f"threads, {cell.noise}"]["median"]
         preparation = measured.get("preparation_s", {"median": 0.0})["median"]
         minutes[cell.model] += (ms / 1e3 * steps_at_most(cell, params.train) + preparation) / 60

@@ -1,7 +1,10 @@
 """Learnt dynamics models: what fitting leaves behind, and its predictive distribution in original units."""
 
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -9,7 +12,7 @@ from simgap import networks
 from simgap.recordings import Normalisation
 from simgap.simulators import state_difference
 from simgap.simulators.spot import Spot
-from simgap.types import Prediction
+from simgap.types import Prediction, Simulator
 
 
 class BNN(NamedTuple):
@@ -30,7 +33,18 @@ class FittedSpot(NamedTuple):
     time_step: Float[Array, ""]  # [s]
 
 
-Model = BNN | FittedSpot
+@partial(jax.tree_util.register_dataclass, data_fields=("params", "scale", "dof"), meta_fields=("simulator",))
+@dataclass(frozen=True)
+class FittedSimulator:
+    """SIM-MODEL with another simulator, such as a diagnosed one, which is known when the model is compiled."""
+
+    simulator: Simulator
+    params: Float[Array, " p"]
+    scale: Float[Array, " y"]
+    dof: Float[Array, " y"]
+
+
+Model = BNN | FittedSpot | FittedSimulator
 
 
 def predict(model: Model, x: Float[Array, " x"]) -> Prediction:
@@ -38,6 +52,8 @@ def predict(model: Model, x: Float[Array, " x"]) -> Prediction:
     if isinstance(model, FittedSpot):
         simulator = Spot(time_step=model.time_step)  # type: ignore[arg-type]  # an array traces like a float
         return Prediction(state_difference(simulator, model.params, x)[None], model.scale, model.dof)
+    if isinstance(model, FittedSimulator):
+        return Prediction(state_difference(model.simulator, model.params, x)[None], model.scale, model.dof)
     n = model.normalisation
     h = networks.apply(model.particles, ((x - n.x_mean) / n.x_std)[None])[:, 0]
     return Prediction(n.y_mean + n.y_std * h, n.y_std * model.scale, model.dof)

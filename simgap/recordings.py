@@ -106,6 +106,33 @@ def to_transitions(schema: Schema, recordings: Sequence[Recording]) -> Transitio
     return Transitions(*(jnp.asarray(np.concatenate(a)) for a in (xs, ys, sessions)))
 
 
+def part(recording: Recording, first: int, last: int) -> Recording:
+    """The rows from `first` to before `last`; a part of a session is named by its rows, counted from 1."""
+    rows = slice(first, last)
+    whole = first == 0 and last == len(recording.time_s)
+    name = recording.name if whole else f"{recording.name} (rows {first + 1} to {last})"
+    return Recording(name, recording.time_s[rows], recording.state[rows], recording.command[rows])
+
+
+def divide(recordings: Sequence[Recording], count: int) -> tuple[list[Recording], list[Recording]]:
+    """The first `count` transitions, session after session, and the rest; the session where they meet is cut in two.
+
+    Transitions as `to_transitions` counts them, which are those of whole sessions: rows that the cut leaves with none
+    are dropped, and what follows it has no history across it.
+    """
+    first, rest = [], []
+    for recording in recordings:
+        rows = len(recording.time_s)
+        taken = min(max(count, 0), rows - 1 - HISTORY)
+        edge = taken + 1 + HISTORY if taken else 0
+        count -= taken
+        if taken:
+            first.append(part(recording, 0, edge))
+        if rows - edge > 1 + HISTORY:
+            rest.append(part(recording, edge, rows))
+    return first, rest
+
+
 def draw(key: PRNGKeyArray, count: int, available: int) -> Int[Array, " count"]:
     """Indices of `count` transitions drawn i.i.d. without repetition from those available."""
     return jax.random.permutation(key, available)[:count]

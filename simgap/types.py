@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -147,6 +147,17 @@ class Simulator(StepModel, Protocol):
 
     def from_body(self, body: Float[Array, " s"]) -> Float[Array, " s"]:
         """Inverse of `to_body`."""
+        ...
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """A simulator whose next state depends on past commands too."""
+
+    def step_from_history(
+        self, params: Float[Array, " p"], state: Float[Array, " s"], commands: Float[Array, "3 u"]
+    ) -> Float[Array, " s"]:
+        """The next state, given u_{t-2}, u_{t-1}, u_t."""
         ...
 
 

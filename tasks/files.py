@@ -23,8 +23,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
-from simgap.models import BNN, FittedSpot, Model
+from simgap.effects.effect import Scales
+from simgap.models import BNN, FittedSimulator, FittedSpot, Model
 from simgap.recordings import Normalisation, check_recording
+from simgap.simulators.augmented import AugmentedSimulator
+from simgap.simulators.spot import Spot
 from simgap.types import Recording, RecordingError, Schema, SimgapError
 
 SUFFIXES = (".csv", ".parquet", ".pickle")
@@ -346,6 +349,9 @@ class _ArraysOnly(pickle.Unpickler):
 # Results of stages
 
 
+_SCALES = "scales_"
+
+
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays as `.npz`, uncompressed. Equal arrays make equal bytes; numpy's own would hold the time."""
     with _replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
@@ -380,6 +386,9 @@ def save_model(path: Path, model: Model) -> None:
             for part, array in zip(("weight", "bias"), layer, strict=True)
         }
         arrays = {**layers, "scale": model.scale, "dof": model.dof, **model.normalisation._asdict()}
+    elif isinstance(model, FittedSimulator):
+        arrays = {"params": model.params, "scale": model.scale, "dof": model.dof,
+                  **augmented_arrays(_augmented_spot(model.simulator))}  # fmt: skip
     else:
         arrays = model._asdict()
     kind = type(model).__name__
@@ -393,15 +402,17 @@ def load_model(path: Path) -> Model:
     try:
         if kind == FittedSpot.__name__:
             return FittedSpot(**arrays)  # type: ignore[arg-type]  # numpy's arrays serve as jax's
+        if kind == FittedSimulator.__name__:
+            return FittedSimulator(augmented_spot(arrays), **arrays)  # type: ignore[arg-type]  # as above
         if kind == BNN.__name__:
             return _bnn(arrays)
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise SimgapError(
             f"{path}: a {kind} with other arrays than this version's ({error}). Train the model again."
         ) from None
     raise SimgapError(
-        f"{path}: holds no model; its kind is {kind[:_TEXT_SHOWN]!r} and must be {BNN.__name__} or "
-        f"{FittedSpot.__name__}. Give a file of the stage `train`."
+        f"{path}: holds no model; its kind is {kind[:_TEXT_SHOWN]!r} and must be {BNN.__name__}, "
+        f"{FittedSpot.__name__} or {FittedSimulator.__name__}. Give a file of the stage `train`."
     )
 
 
@@ -411,6 +422,26 @@ def _bnn(arrays: dict[str, np.ndarray]) -> BNN:
     particles = [(arrays.pop(f"weight_{i}"), arrays.pop(f"bias_{i}")) for i in range(layers)]
     stats = Normalisation(*(arrays.pop(name) for name in Normalisation._fields))  # type: ignore[arg-type]
     return BNN(particles, normalisation=stats, **arrays)  # type: ignore[arg-type]
+
+
+def augmented_arrays(simulator: AugmentedSimulator) -> dict[str, np.ndarray]:
+    """The effects' constants, what they refer to (`scales_<name>`) and the time step [s], as `augmented_spot` reads."""
+    scales = {f"{_SCALES}{name}": np.asarray(value) for name, value in simulator.scales._asdict().items()}
+    return {"theta": simulator.constants, "time_step": np.asarray(simulator.time_step, np.float64), **scales}
+
+
+def augmented_spot(arrays: dict[str, np.ndarray]) -> AugmentedSimulator:
+    """The Spot with effects that `augmented_arrays` wrote, whose arrays are taken out; KeyError if one is missing."""
+    scales = {name: arrays.pop(f"{_SCALES}{name}") for name in Scales._fields}
+    numbers = {name: float(value) if value.ndim == 0 else value for name, value in scales.items()}
+    spot = Spot(time_step=float(arrays.pop("time_step")))
+    return AugmentedSimulator.of(spot, arrays.pop("theta"), Scales(**numbers))  # type: ignore[arg-type]
+
+
+def _augmented_spot(simulator: object) -> AugmentedSimulator:
+    if isinstance(simulator, AugmentedSimulator) and type(simulator.simulator) is Spot:
+        return simulator
+    raise SimgapError(f"a model of {simulator} cannot be written; it must be one of a Spot with diagnosed effects.")
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -3,19 +3,43 @@
 import ast
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import simgap
 from tasks.params import TrainParams
-from tasks.workspace import Cell
+from tasks.workspace import Cell, Share
 
-_ROOTS = ("simgap.learn",)
+TRAINING = ("simgap.learn",)
+"""Where the code of training begins."""
+AUGMENTED = (*TRAINING, "simgap.simulators.augmented")
+"""The same for models that are given a diagnosed simulator."""
+DIAGNOSIS = ("simgap.diagnosis.explain",)
+"""Where the code that finds effects begins."""
 
 
-def fingerprint(cell: Cell, data_digest: str, time_step: float, params: TrainParams, code: str) -> str:
-    """Identifies what a cell's result depends on: the data, its share of the parameters, and the code."""
+class Codes(NamedTuple):
+    """Digests of the code of training, of training with a diagnosed simulator, and of the diagnosis."""
+
+    training: str
+    augmented: str
+    diagnosis: str
+
+
+def codes() -> Codes:
+    """Call it before tasks fan out: the parser of Python 3.11 does not bear several threads."""
+    return Codes(code_digest(TRAINING), code_digest(AUGMENTED), code_digest(DIAGNOSIS))
+
+
+def fingerprint(
+    cell: Cell, data_digest: str, time_step: float, params: TrainParams, code: str, diagnosis: str | None = None
+) -> str:
+    """Identifies what a cell's result depends on: the data, its share of the parameters, and the code.
+
+    `diagnosis`: the fingerprint of the cell's diagnosis, where it has one.
+    """
     relevant = {
         "cell": cell,
         "data": data_digest,
@@ -23,21 +47,30 @@ def fingerprint(cell: Cell, data_digest: str, time_step: float, params: TrainPar
         "params": relevant_params(cell, params),
         "code": code,
     }
+    return _mark(relevant if diagnosis is None else {**relevant, "diagnosis": diagnosis})
+
+
+def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
+    """Identifies what the diagnosis of a share of the recordings depends on."""
+    return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})
+
+
+def _mark(relevant: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def relevant_params(cell: Cell, params: TrainParams) -> dict[str, Any]:
     """The share of the parameters that a cell's result depends on."""
-    if cell.model == "sim_model":
+    if cell.method == "sim_model":
         return asdict(params.sim_model)
-    prior = params.fsvgd if cell.model == "fsvgd" else params.sim_fsvgd
+    prior = params.fsvgd if cell.method == "fsvgd" else params.sim_fsvgd
     return {**asdict(params.bnn), "prior": asdict(prior)}
 
 
-def modules_of_training() -> list[Path]:
-    """The modules of `simgap` that training runs, by their imports."""
+def modules_of(roots: Sequence[str]) -> list[Path]:
+    """The modules of `simgap` that these run, by their imports."""
     found: dict[Path, None] = {}
-    queue = list(_ROOTS)
+    queue = list(roots)
     while queue:
         path = _source(queue.pop())
         if path is None or path in found:
@@ -51,13 +84,10 @@ def modules_of_training() -> list[Path]:
     return sorted(found.keys() - {package / "__init__.py", package / "types.py"})
 
 
-def code_digest() -> str:
-    """Digest of the modules of training as the interpreter sees them, comments and docstrings apart.
-
-    Call it before tasks fan out: the parser of Python 3.11 does not bear several threads.
-    """
+def code_digest(roots: Sequence[str]) -> str:
+    """Digest of the modules that these run as the interpreter sees them, comments and docstrings apart."""
     trees = []
-    for path in modules_of_training():
+    for path in modules_of(roots):
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):

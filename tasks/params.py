@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from simgap import fsvgd, identify, priors
 from simgap.types import ConfigError
 
-ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd"]
+ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
 NoiseName = Literal["gaussian", "student_t"]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]

@@ -12,9 +12,22 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-LABELS = {"sim_model": "SIM-MODEL", "fsvgd": "FSVGD", "sim_fsvgd": "Sim-FSVGD"}
+LABELS = {
+    "sim_model": "SIM-MODEL",
+    "sim_model_diagnosed": "SIM-MODEL + diagnosed",
+    "fsvgd": "FSVGD",
+    "sim_fsvgd": "Sim-FSVGD",
+    "sim_fsvgd_diagnosed": "Sim-FSVGD + diagnosed",
+}
 NOISES = {"gaussian": "Gaussian noise (the paper's)", "student_t": "Student's t noise"}
-_STYLE = {"sim_model": ("#7f7f7f", "s"), "fsvgd": ("#d1722d", "^"), "sim_fsvgd": ("#1f5fa8", "o")}
+# Colour, marker, line; a model that is given a diagnosis in the hue of its twin, dashed, its markers hollow.
+_STYLE = {
+    "sim_model": ("#7f7f7f", "s", "-"),
+    "sim_model_diagnosed": ("#4a4a4a", "s", "--"),
+    "fsvgd": ("#d1722d", "^", "-"),
+    "sim_fsvgd": ("#1f5fa8", "o", "-"),
+    "sim_fsvgd_diagnosed": ("#3f95e0", "o", "--"),
+}
 _JITTER = 0.012  # of the N range, so that models' points do not hide each other
 
 
@@ -29,7 +42,13 @@ def against_n(
     for ax, (noise, score, label) in zip(axes[0], panels, strict=True):
         _panel(ax, [r for r in rows if r["noise"] == noise], score)
         ax.set(xlabel="transitions N", ylabel=label, title=NOISES[noise])
-    axes[0][0].legend(frameon=False)
+    figure.legend(
+        *axes[0][0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=1 + len(panels),
+        frameon=False,
+        fontsize="small",
+    )
     figure.suptitle(title, fontweight="bold")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=dpi, metadata={"Software": None})
@@ -39,16 +58,17 @@ def against_n(
 def _panel(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:
     sizes = sorted({r["sample_size"] for r in rows})
     shift = _JITTER * (max(sizes) - min(sizes) or 1)
-    for k, (model, label) in enumerate(LABELS.items()):
-        colour, marker = _STYLE[model]
+    models = [model for model in LABELS if any(r["model"] == model for r in rows)]
+    for k, model in enumerate(models):
+        colour, marker, line = _STYLE[model]
         groups = [(n, [r[score] for r in rows if r["model"] == model and r["sample_size"] == n]) for n in sizes]
         groups = [(n, values) for n, values in groups if values]
-        if not groups:
-            continue
-        x = [n + (k - 1) * shift for n, _ in groups]
+        x = [n + (k - (len(models) - 1) / 2) * shift for n, _ in groups]
         means = [float(np.mean(v)) for _, v in groups]
         spread = [float(np.std(v, ddof=1)) if len(v) > 1 else 0.0 for _, v in groups]
-        ax.errorbar(x, means, spread, color=colour, marker=marker, capsize=3, lw=1.6, ms=6, label=label)
+        face = "white" if line == "--" else colour
+        ax.errorbar(x, means, spread, color=colour, marker=marker, ls=line, mfc=face, capsize=3, lw=1.6, ms=6,
+                    label=LABELS[model])  # fmt: skip
         for position, (_, values) in zip(x, groups, strict=True):
             ax.plot([position] * len(values), values, ".", color=colour, alpha=0.45, ms=5)
     ax.set_xticks(sizes)

@@ -9,10 +9,12 @@ from prefect import task
 
 from tasks import files, plots
 from tasks.plots import LABELS
-from tasks.workspace import Workspace
+from tasks.workspace import DIAGNOSED, Workspace
 
 Row = dict[str, Any]
 IDENTITY = ("noise", "model", "sample_size", "seed")
+EFFECTS = "effects"
+"""Column of the effects that a cell's diagnosis found; empty where it found none, absent where it has no diagnosis."""
 HEADLINE = ("nll", "nll_median", "validation_nll", "calibration_error")
 
 
@@ -24,7 +26,7 @@ def summarise(rows: Sequence[Row]) -> list[Row]:
     table = []
     for (noise, model, n), members in sorted(groups.items()):
         summary: Row = {"noise": noise, "model": model, "sample_size": n, "seeds": len(members)}
-        for score in (k for k in members[0] if k not in IDENTITY):
+        for score in (k for k in members[0] if k not in (*IDENTITY, EFFECTS)):
             values = [m[score] for m in members]
             summary[score] = float(np.mean(values))
             summary[f"{score}_std"] = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
@@ -69,13 +71,44 @@ def claims(rows: Sequence[Row], noise: str) -> list[tuple[str, str]]:
     return [(claim, _answer(expected, table)) for claim, expected, table in checked if table]
 
 
+def diagnosis_adds(rows: Sequence[Row], noise: str) -> list[tuple[str, str]]:
+    """Every model that is given a diagnosed simulator against its twin that is not: (label, differences in NLL)."""
+    found = []
+    for model in (m for m in LABELS if m.endswith(DIAGNOSED)):
+        twin = model.removesuffix(DIAGNOSED)
+        table = compare(rows, noise, model, twin)
+        if table:
+            held = {verdict: sum(row["verdict"] == verdict for row in table) for verdict in ("below", "level", "above")}
+            told = ", ".join(f"{verdict} at {count}" for verdict, count in held.items() if count)
+            against = f"of {len(table)} N against {LABELS[twin]}"
+            found.append((LABELS[model], f"**{told}** {against} ({_differences(table)})"))
+    return found
+
+
+def effects_found(rows: Sequence[Row]) -> list[str]:
+    """What the diagnoses found, a line per N; a seed's diagnosis is shared by models and noises."""
+    found = {(row["sample_size"], row["seed"]): row[EFFECTS] or "none" for row in rows if row.get(EFFECTS) is not None}
+    lines = []
+    for n in sorted({size for size, _ in found}):
+        seeds: dict[str, list[str]] = {}
+        for (size, seed), effects in sorted(found.items()):
+            if size == n:
+                seeds.setdefault(effects, []).append(str(seed))
+        told = "; ".join(f"{effects} (seed {', '.join(which)})" for effects, which in seeds.items())
+        lines.append(f"N = {n}: {told}")
+    return lines
+
+
 def _answer(expected: str, table: Sequence[Row]) -> str:
     held = sum(row["verdict"] == expected for row in table)
     verdict = "holds" if held == len(table) else f"holds at {held} of {len(table)} N" if held else "does not hold"
-    details = ", ".join(
+    return f"**{verdict}** ({_differences(table)})"
+
+
+def _differences(table: Sequence[Row]) -> str:
+    return ", ".join(
         f"{row['difference']:+.2f} ± {row['standard_error']:.2f} at N = {row['sample_size']}" for row in table
     )
-    return f"**{verdict}** ({details})"
 
 
 @task(task_run_name="report-{workspace.source}")
@@ -137,12 +170,21 @@ def _markdown(source: str, rows: Sequence[Row], summary: Sequence[Row], noises: 
         "",
     ]
     lines += ["![NLL against N](nll_against_n.png)", "", "![Rollout error against N](rollouts_against_n.png)", ""]
+    found = effects_found(rows)
+    if found:
+        lines += ["Effects that a diagnosis of as many transitions found, and that the models called diagnosed have:"]
+        lines += ["", *(f"- {line}" for line in found), ""]
     for noise in noises:
         lines += [f"## {plots.NOISES[noise]}", ""]
         answers = claims(rows, noise)
         if answers:
             lines += ["The paper's claims (difference in NLL, paired by seed, ± standard error):", ""]
             lines += [f"- {claim}: {answer}" for claim, answer in answers] + [""]
+        added = diagnosis_adds(rows, noise)
+        if added:
+            lines += ["What the diagnosis adds (difference in NLL to the same model without it, paired by seed, ± "
+                      "standard error):", ""]  # fmt: skip
+            lines += [f"- {label}: {answer}" for label, answer in added] + [""]
         scores = _headline(summary)
         lines += ["| model | N | " + " | ".join(scores) + " | steps | seconds |"]
         lines += ["| --- | --- |" + " --- |" * (len(scores) + 2)]

@@ -28,12 +28,13 @@ def load_test(workspace: Workspace, time_step: float) -> tuple[Transitions, list
 def score_cell(
     workspace: Workspace, cell: Cell, test: tuple[Transitions, list[Recording]], params: ScoreParams
 ) -> dict[str, Any]:
-    """The cell's scores, with what identifies it and how long it trained."""
+    """The cell's scores, with what identifies it, the effects it was given and how long it trained."""
     rows, recordings = test
     model = files.load_model(workspace.model(cell))
     record = files.read_json(workspace.record(cell))
     return {
         **cell._asdict(),
+        **({"effects": ", ".join(record["effects"])} if "effects" in record else {}),
         "seconds": record["seconds"],
         "steps": record["steps"],
         # Kept by early stopping, within the N: what one may choose by. SIM-MODEL keeps no rows for validation.
@@ -48,7 +49,7 @@ def log_scores(workspace: Workspace, cell: Cell, row: dict[str, Any], store: tra
     """Add the scores to the cell's latest run in MLflow, if this store has one (a model from DVC's cache may not)."""
     run = tracking.latest_run(store, {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]})
     if run:
-        run.scores({name: value for name, value in row.items() if name not in cell._fields})
+        run.scores({name: value for name, value in row.items() if name not in (*cell._fields, "effects")})
 
 
 @task(task_run_name="write-scores-{workspace.source}")

@@ -14,9 +14,9 @@ from simgap.noise import FAMILIES
 from simgap.recordings import HISTORY, draw
 from simgap.simulators import sample_parameters
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import ConfigError, Report, Schema, SimgapError, Transitions
-from tasks import files, tracking, transitions
-from tasks.fingerprint import fingerprint, relevant_params
+from simgap.types import ConfigError, Report, Schema, SimgapError, Simulator, Transitions
+from tasks import diagnosed, files, tracking, transitions
+from tasks.fingerprint import Codes, fingerprint, relevant_params
 from tasks.params import Params, TrainParams
 from tasks.workspace import Cell, Workspace
 
@@ -32,7 +32,7 @@ def grid(params: TrainParams) -> list[Cell]:
     ]
 
 
-def fit(cell: Cell, data: Transitions, time_step: float, params: TrainParams, report: Report) -> Model:
+def fit(cell: Cell, data: Transitions, simulator: Simulator, params: TrainParams, report: Report) -> Model:
     """The cell's model; the N transitions depend on seed and N alone, so that all models learn from the same draw.
 
     Raises ConfigError when fewer than N transitions are there, DivergenceError when training leaves the finite numbers.
@@ -45,15 +45,15 @@ def fit(cell: Cell, data: Transitions, time_step: float, params: TrainParams, re
     key_draw, key, key_phi = jax.random.split(jax.random.key(cell.seed), 3)
     rows = draw(key_draw, cell.sample_size, len(data.x))
     drawn = (jnp.asarray(data.x)[rows], jnp.asarray(data.y)[rows])
-    noise, spot = FAMILIES[cell.noise], Spot(time_step=time_step)
-    match cell.model:
+    noise = FAMILIES[cell.noise]
+    match cell.method:
         case "sim_model":
-            return learn.sim_model(drawn, spot, params.sim_model, noise, report)
+            return learn.sim_model(drawn, simulator, params.sim_model, noise, report)
         case "fsvgd":
-            return learn.fsvgd_model(key, drawn, spot, params.fsvgd, params.bnn, noise, report)
+            return learn.fsvgd_model(key, drawn, simulator, params.fsvgd, params.bnn, noise, report)
         case "sim_fsvgd":
-            phi = sample_parameters(spot, key_phi, params.sim_fsvgd.function_samples)
-            return learn.sim_fsvgd_model(key, drawn, spot, phi, params.sim_fsvgd, params.bnn, noise, report)
+            phi = sample_parameters(simulator, key_phi, params.sim_fsvgd.function_samples)
+            return learn.sim_fsvgd_model(key, drawn, simulator, phi, params.sim_fsvgd, params.bnn, noise, report)
         case unknown:
             raise ConfigError(f"there is no model {unknown}; there are sim_model, fsvgd and sim_fsvgd.")
 
@@ -67,11 +67,11 @@ def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
 
 
 class Grid(NamedTuple):
-    """What the cells share: the run of the whole grid in MLflow, its tags, the digest of the code."""
+    """What the cells share: the run of the whole grid in MLflow, its tags, the digests of the code."""
 
     run: tracking.Run
     tags: dict[str, str]
-    code: str
+    codes: Codes
 
 
 Job = Callable[[str, int], AbstractContextManager[Report]]
@@ -80,7 +80,7 @@ Job = Callable[[str, int], AbstractContextManager[Report]]
 
 def steps_at_most(cell: Cell, params: TrainParams) -> int:
     """Training steps of a cell, if it does not stop early."""
-    if cell.model == "sim_model":
+    if cell.method == "sim_model":
         return params.sim_model.training_steps
     return params.bnn.training_steps(cell.sample_size)
 
@@ -98,21 +98,37 @@ def train_cell(
 
     `job(name, steps)` gives a context with the `report` of progress; `clock` gives seconds.
     """
-    digest = transitions.digest(workspace)
-    mark = fingerprint(cell, digest, 1 / params.transitions.nominal_rate_hz, params.train, grid.code)
+    digest, time_step = transitions.digest(workspace), 1 / params.transitions.nominal_rate_hz
+    found = diagnosed.load(workspace, cell.share) if cell.share else None
+    mark = (
+        fingerprint(cell, digest, time_step, params.train, grid.codes.augmented, found.fingerprint)
+        if found
+        else fingerprint(cell, digest, time_step, params.train, grid.codes.training)
+    )
     with job(cell.name, steps_at_most(cell, params.train)) as report:
         reused = finished(workspace, cell, mark)
         if not reused:
             # Should this training fail, the model of other parameters must not pass for its result.
             workspace.record(cell).unlink(missing_ok=True)
-            _train(workspace, cell, params, mark, report, clock)
+            simulator = found.simulator if found else Spot(time_step=time_step)
+            record = {"fingerprint": mark, **({"effects": list(found.simulator.effects)} if found else {})}
+            _train(workspace, cell, simulator, params.train, record, report, clock)
     log_cell(workspace, cell, params.train, grid, {"transitions": digest, "reused": str(reused)})
 
 
 def _train(
-    workspace: Workspace, cell: Cell, params: Params, mark: str, report: Report, clock: Callable[[], float]
+    workspace: Workspace,
+    cell: Cell,
+    simulator: Simulator,
+    params: TrainParams,
+    known: dict[str, Any],
+    report: Report,
+    clock: Callable[[], float],
 ) -> None:
-    """Fit and write; the record comes last, so that a cell killed halfway has none and is trained again."""
+    """Fit and write; the record comes last, so that a cell killed halfway has none and is trained again.
+
+    `known`: what the record is to hold besides.
+    """
     curve: dict[str, list[float]] = {"step": []}
 
     def keep(step: int, metrics: dict[str, float]) -> None:
@@ -123,10 +139,10 @@ def _train(
 
     start = clock()
     data = transitions.load(workspace, "training")
-    model = fit(cell, data, 1 / params.transitions.nominal_rate_hz, params.train, keep)
+    model = fit(cell, data, simulator, params, keep)
     record = {
         **cell._asdict(),
-        "fingerprint": mark,
+        **known,
         "seconds": clock() - start,
         "steps": curve["step"][-1],
         "curve": curve,
@@ -136,9 +152,11 @@ def _train(
 
 
 def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, tags: dict[str, str]) -> tracking.Run:
-    """A finished cell as a run of the grid's: parameters, curve, data set with its digest, model."""
+    """A finished cell as a run of the grid's: parameters, effects, curve, data set with its digest, model."""
     record = files.read_json(workspace.record(cell))
     tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"]}
+    if cell.share:
+        tags |= {"diagnosis": cell.share.name, "effects": ", ".join(record["effects"]) or "none"}
     with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
         run.params({**cell._asdict(), **relevant_params(cell, params)})
         curve = dict(record["curve"])
@@ -158,6 +176,7 @@ def input_columns(schema: Schema) -> tuple[str, ...]:
 def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
     """Delete models and records of cells that the grid no longer has: a stage's output holds this grid alone."""
     wanted = {path for cell in cells for path in (workspace.model(cell), workspace.record(cell))}
+    wanted |= {path for s in diagnosed.shares(cells) for path in (workspace.augmented(s), workspace.effects(s))}
     for path in workspace.models.rglob("*"):
         if path.is_file() and path not in wanted:
             path.unlink()

@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 SPLITS = ("training", "test")
+DIAGNOSED = "_diagnosed"
+"""Ends the name of a model that is given the diagnosed simulator in place of the simulator."""
 
 
 class Cell(NamedTuple):
@@ -19,6 +21,28 @@ class Cell(NamedTuple):
     def name(self) -> str:
         """Readable and unique, like `sim_fsvgd-gaussian-N1000-s1`."""
         return f"{self.model}-{self.noise}-N{self.sample_size}-s{self.seed}"
+
+    @property
+    def method(self) -> str:
+        """How it learns: `sim_fsvgd` of both `sim_fsvgd` and `sim_fsvgd_diagnosed`."""
+        return self.model.removesuffix(DIAGNOSED)
+
+    @property
+    def share(self) -> "Share | None":
+        """The recordings that its simulator is diagnosed with, if it is."""
+        return Share(self.sample_size, self.seed) if self.model.endswith(DIAGNOSED) else None
+
+
+class Share(NamedTuple):
+    """N transitions of the training sessions in an order drawn with a seed: what a cell's diagnosis may see."""
+
+    sample_size: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Readable and unique, like `diagnosis-N1000-s1`."""
+        return f"diagnosis-N{self.sample_size}-s{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -58,3 +82,11 @@ class Workspace:
     def record(self, cell: Cell) -> Path:
         """What is known of a finished cell: fingerprint, curve, seconds."""
         return self.models / f"{cell.name}.json"
+
+    def augmented(self, share: Share) -> Path:
+        """The effects' constants that a diagnosis of a share found."""
+        return self.models / f"{share.name}.npz"
+
+    def effects(self, share: Share) -> Path:
+        """What is known of that diagnosis: fingerprint, effects, seconds."""
+        return self.models / f"{share.name}.json"

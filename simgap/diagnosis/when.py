@@ -9,14 +9,14 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.fit import Fit, weights
 from simgap.diagnosis.innovations import Chunks
 
-LENGTHS = (4, 7, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
+LENGTHS = (8, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
 """Rows of the stretches that are tried; edges are refined afterwards."""
-PUSH = 4
+PUSH = 8
 """Rows of the shortest push."""
 LASTING = 50
 """Rows of the shortest stretch in which a law of motion may hold and not elsewhere."""
 ONSETS = 40
-FLIP = 8
+FLIP = 4
 """Rows that share a sign in the bootstrap of stretches."""
 DRAWS = 100
 
@@ -96,9 +96,10 @@ def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> 
 def stretch_by_chance(
     rows: Rows, score: np.ndarray, power: np.ndarray, level: float, rng: np.random.Generator
 ) -> float:
-    """Gain [nats] that the best stretch reaches by chance with probability `level`, extrapolated from random signs.
+    """Gain [nats] that the best stretch reaches by chance with probability `level`.
 
-    The best stretch itself takes no part: if something happened there, it is not chance.
+    The larger of two: what random signs give, extrapolated (the best stretch itself takes no part: if something
+    happened there, it is not chance), and what independent stretches would give, which is ln(number / level).
     """
     when, _ = stretch(rows, score, power, PUSH)
     inside = (rows.session == when.session) & (rows.time_s >= when.from_s) & (rows.time_s < when.to_s)
@@ -109,7 +110,8 @@ def stretch_by_chance(
         best.append(max(_best_window(score[m] * sign[m], power[m], PUSH)[0] for m in _sessions(rows)))
     # Gains of many stretches have an exponential tail: Gumbel, by its moments.
     scale = np.std(best) * np.sqrt(6) / np.pi
-    return float(np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level)))
+    drawn = np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level))
+    return float(max(drawn, np.log(len(score) * len(LENGTHS) / level)))
 
 
 def _sessions(rows: Rows) -> list[np.ndarray]:

@@ -14,6 +14,9 @@ from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row
 from simgap.layout import Layout, motion, push
 from simgap.types import StepModel
 
+Theta = Float[Array | np.ndarray, " P"]
+"""Internal constants of all effects at all sites; numpy's where they are known before any tracing."""
+
 
 class Slot(NamedTuple):
     """One constant of one effect at one site: a place in the vector theta."""
@@ -59,20 +62,24 @@ class Augmented:
         constants = [CATALOGUE[slot.effect].constants[slot.constant] for slot in self.slots]
         return np.array([c.low for c in constants]), np.array([c.high for c in constants])
 
-    def constants(self, theta: Float[Array, " P"], *places: str) -> list[tuple[Effect, Float[Array, "k n"]]]:
-        """The effects of some places that have sites, each with its constants [k, sites]."""
-        found, start = [], 0
+    def constants(self, theta: Theta, *places: str) -> list[tuple[Effect, Float[Array, "k n"]]]:
+        """The effects of some places that have sites, each with its constants [k, sites].
+
+        Where theta is numpy's, effects whose constants are all zero are left out: they are nil.
+        """
+        found, start, known = [], 0, isinstance(theta, np.ndarray)
         for effect, sites in zip(CATALOGUE, self.sites, strict=True):
             size = len(effect.constants) * len(sites)
-            if sites and effect.place in places:
-                found.append((effect, theta[start : start + size].reshape(len(effect.constants), len(sites))))
+            c = theta[start : start + size].reshape(len(effect.constants), len(sites))
+            if sites and effect.place in places and not (known and not c.any()):
+                found.append((effect, jnp.asarray(c)))
             start += size
         return found
 
 
 def remember(
     augmented: Augmented,
-    theta: Float[Array, " P"],
+    theta: Theta,
     state: Float[Array, " s"],
     past: Float[Array, "n u"],
     time_s: Float[Array, ""],
@@ -90,7 +97,7 @@ def remember(
 
 
 def follow(
-    augmented: Augmented, theta: Float[Array, " P"], memory: Memory, command: Float[Array, " u"], row: Row
+    augmented: Augmented, theta: Theta, memory: Memory, command: Float[Array, " u"], row: Row
 ) -> tuple[Memory, Float[Array, " u"]]:
     """The command that acts, and the memory with the command sent in it: places "command" and "filter".
 
@@ -109,7 +116,7 @@ def follow(
 def advance(
     augmented: Augmented,
     phi: Float[Array, " p"],
-    theta: Float[Array, " P"],
+    theta: Theta,
     scales: Scales,
     memory: Memory,
     state: Float[Array, " s"],
@@ -128,31 +135,29 @@ def advance(
     for effect, c in augmented.constants(theta, "before"):
         start = effect.law(c, start, layout, scales)
 
-    now, then = motion(layout, state), simulator.step(phi, start, u)
-    expected = motion(layout, then)
-    du, dv, _ = push(layout, now.heading, jnp.ones_like(now.velocity))
-    response = motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
-    step = Step(now, expected, response, u, layout, scales, row)
-    pushes = [effect.law(c, step) for effect, c in augmented.constants(theta, "push")]
-    total = sum(pushes, jnp.zeros_like(step.now.velocity))
-    du, dv, dp = push(layout, step.now.heading, total)
-    then = simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
+    then, laws = simulator.step(phi, start, u), augmented.constants(theta, "push")
+    if laws:
+        now, expected = motion(layout, state), motion(layout, then)
+        du, dv, _ = push(layout, now.heading, jnp.ones_like(now.velocity))
+        response = motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
+        step = Step(now, expected, response, u, layout, scales, row)
+        total = sum((effect.law(c, step) for effect, c in laws), jnp.zeros_like(now.velocity))
+        du, dv, dp = push(layout, now.heading, total)
+        then = simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
 
     for effect, c in augmented.constants(theta, "after"):
         then = effect.law(c, state, then, layout, scales, row)
     return memory._replace(states=jnp.concatenate([state[None], memory.states[:-1]])), then
 
 
-def sense(
-    augmented: Augmented, theta: Float[Array, " P"], memory: Memory, state: Float[Array, " s"]
-) -> Float[Array, " s"]:
+def sense(augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"]) -> Float[Array, " s"]:
     """What is measured of a state, given the states before it."""
     for effect, c in augmented.constants(theta, "sensing"):
         state = effect.law(c, state, memory.states, augmented.layout)
     return state
 
 
-def unsense(augmented: Augmented, theta: Float[Array, " P"], measured: Float[Array, " s"]) -> Float[Array, " s"]:
+def unsense(augmented: Augmented, theta: Theta, measured: Float[Array, " s"]) -> Float[Array, " s"]:
     """The state at rest that gives a measurement: inverse of bias and scale."""
     found = {effect.id: c[0] for effect, c in augmented.constants(theta, "sensing")}
-    return (measured - found["sensor_bias"]) / (1 + found["sensor_scale"])
+    return (measured - found.get("sensor_bias", 0.0)) / (1 + found.get("sensor_scale", 0.0))

@@ -79,7 +79,9 @@ def _pairs(layout: Layout) -> list[tuple[int, int]]:
 def _pair_sites(layout: Layout) -> tuple[Site, ...]:
     sites = channel_sites(layout)
     return tuple(
-        Site(f"{sites[i].name} into {sites[j].name}", (sites[i].name,), sites[j].outputs, sites[i].family, sites[j].unit)
+        Site(
+            f"{sites[i].name} into {sites[j].name}", (sites[i].name,), sites[j].outputs, sites[i].family, sites[j].unit
+        )
         for i, j in _pairs(layout)
     )
 

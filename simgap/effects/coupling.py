@@ -109,7 +109,8 @@ _RATIO = (Constant("ratio", "-", low=-1.5, high=1.5),)
 EFFECTS = (
     Effect(
         "arm_base_coupling", "push", _RATIO, _carrier_sites((X, Y)), lambda scales, site: [[0.1]], _arm_acceleration,
-        "reaction: accelerating the arm pushes the base back, by {ratio} of the arm's acceleration", form="acceleration",
+        "reaction: accelerating the arm pushes the base back, by {ratio} of the arm's acceleration",
+        form="acceleration",
     ),
     Effect(
         "arm_base_coupling", "push", _RATIO, _carrier_sites((X, Y)), lambda scales, site: [[0.1]], _arm_velocity,

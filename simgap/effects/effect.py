@@ -1,8 +1,9 @@
 """What an effect of the vocabulary is: a law that a simulator lacks, nil where its constants are zero.
 
-A law acts at one of six places of a simulated step (see `augmented.advance`), and an augmented simulator applies all laws of the catalogue at
-all their sites, each with its constants; the bare simulator is the one with all constants zero. Internal constants
-are chosen so: a limit is held as its reciprocal, a time constant as the memory it leaves after one step.
+A law acts at one of six places of a simulated step (see `augmented.advance`), and an augmented simulator applies all
+laws of the catalogue at all their sites, each with its constants; the bare simulator is the one with all constants
+zero. Internal constants are chosen so: a limit is held as its reciprocal, a time constant as the memory that it leaves
+after one step.
 """
 
 from collections.abc import Callable
@@ -42,12 +43,13 @@ class Row(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Magnitudes of the recordings at hand, for starting values and for what is 'slow'.
+    """Magnitudes of the recordings at hand, for starting values and for what the laws refer to.
 
     command, command_step: 95th percentile of |u| and of |u_t - u_{t-1}| where it moves, per channel. speed: of the
     bodies' own velocities [b, 4]; axis_speed, axis_command: of the velocity and the command (or velocity) at each axis
-    site. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, height: of z [b, 21]. interval: time [s] by which each position integrates its velocity in the simulator. output: 95th
-    percentile of |output| less its median. duration: of the longest session [s]. time_step [s].
+    site. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, height: of z [b, 21]. interval:
+    time [s] by which each position integrates its velocity. output: 95th percentile of |output| less its median.
+    duration: of the longest session [s]. time_step [s].
     """
 
     command: np.ndarray
@@ -93,11 +95,11 @@ class Constant:
 class Effect:
     """A law of the vocabulary.
 
-    id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
-    site): internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants
-    ("never"; "same_unit": alike axes; "any"). jagged: the likelihood has many summits along the
-    constant. event: it acts during a stretch of one session. law: see the module of its place. says: a sentence for people, with
-    the constants' names to fill in.
+    id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales, site):
+    internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants ("never";
+    "same_unit": alike axes; "any"). jagged: the likelihood has many summits along the constant. event: it acts during
+    a stretch of one session. law: see the module of its place. says: a sentence for people, with the constants' names
+    to fill in.
     """
 
     id: str
@@ -151,7 +153,7 @@ def axis_sites(layout: Layout) -> tuple[Site, ...]:
         channels = (layout.schema.command[column].name,) if column >= 0 else ()
         outputs = layout.outputs(b, (a,))
         unit = layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
-        sites.append(Site(outputs[0] if outputs else channels[0], channels, outputs, layout.bodies[b], unit))
+        sites.append(Site(outputs[0], channels, outputs, layout.bodies[b], unit))
     return tuple(sites)
 
 
@@ -177,9 +179,7 @@ def mounted(layout: Layout) -> list[int]:
 
 def turning(layout: Layout) -> list[int]:
     """Bodies with a yaw rate and velocities along x and y, not mounted."""
-    return [
-        b for b, c in enumerate(layout.carrier) if c is None and all(layout.velocity[b, [0, 1, 3]] >= 0)
-    ]
+    return [b for b, c in enumerate(layout.carrier) if c is None and all(layout.velocity[b, [0, 1, 3]] >= 0)]
 
 
 def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:

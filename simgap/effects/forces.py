@@ -91,16 +91,20 @@ def _ground_sites(layout: Layout) -> tuple[Site, ...]:
 EFFECTS = (
     Effect(
         "gravity_sag", "push", (Constant("sink per reach", "1/s", low=0.0),), _lifted_sites((Z,)),
-        lambda scales, site: [[0.05]], _sag, "the arm sags under its own weight: it sinks by {sink per reach} times its reach",
+        lambda scales, site: [[0.05]], _sag,
+        "the arm sags under its own weight: it sinks by {sink per reach} times its reach",
     ),
     Effect(
         "payload", "push",
-        (Constant("added memory", "-", low=0.0, high=0.95), Constant("sink", "m/s", low=0.0), Constant("onset", "s", low=0.0, shapes=True)),
+        (Constant("added memory", "-", low=0.0, high=0.95), Constant("sink", "m/s", low=0.0),
+         Constant("onset", "s", low=0.0, shapes=True)),
         _lifted_sites((X, Y, Z, YAW)), _onsets, _payload,
-        "payload: from {onset} on a load is carried; the motion answers slower (added memory {added memory}) and sinks by {sink}",
+        "payload: from {onset} on a load is carried; the motion answers slower (added memory {added memory}) and sinks "
+        "by {sink}",
     ),
     Effect(
-        "slope", "push", (Constant("pull x", "-", low=-1.0, high=1.0), Constant("pull y", "-", low=-1.0, high=1.0)), _ground_sites,
+        "slope", "push",
+        (Constant("pull x", "-", low=-1.0, high=1.0), Constant("pull y", "-", low=-1.0, high=1.0)), _ground_sites,
         lambda scales, site: [[0.05, 0.05]], _slope,
         "tilted ground pulls by ({pull x}, {pull y}) of the walking speed in the world's x and y",
     ),

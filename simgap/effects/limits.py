@@ -64,9 +64,7 @@ def _heights(scales: Scales, site: int) -> list[list[float]]:
 
 
 def _floored_sites(layout: Layout) -> tuple[Site, ...]:
-    return tuple(
-        Site(layout.bodies[b], (), layout.outputs(b, (Z,)), layout.bodies[b], "m") for b in _floored(layout)
-    )
+    return tuple(Site(layout.bodies[b], (), layout.outputs(b, (Z,)), layout.bodies[b], "m") for b in _floored(layout))
 
 
 def _reach(c: float, site: int, scales: Scales) -> float:
@@ -88,7 +86,8 @@ EFFECTS = (
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
         lambda layout: body_sites(layout, _reaching(layout), (X, Y, Z)),
         lambda scales, site: [[0.8 * c[0]] for c in _reaches(scales, site)], _outward(3),
-        "reach limit: beyond {reach} from its carrier's origin the arm cannot follow outward commands", form="spherical",
+        "reach limit: beyond {reach} from its carrier's origin the arm cannot follow outward commands",
+        form="spherical",
     ),
     Effect(
         "ground_contact", "after", (Constant("height", "m", _height, 0.0),), _floored_sites, _heights, _contact,

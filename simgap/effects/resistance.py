@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 from simgap.effects.effect import Constant, Effect, Scales, Step, axis_sites, body_sites, on_axes, turning
 from simgap.layout import YAW, X, Y
 
+
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """-c sign(v'), or what stops the motion within the step where c suffices for that: it sticks."""
     stops = step.then.velocity / jnp.where(jnp.abs(step.response) > 1e-6, step.response, jnp.inf)

@@ -22,7 +22,9 @@ def _sensors(layout: Layout) -> list[tuple[str, list[int]]]:
 
 def _sensor_sites(layout: Layout) -> tuple[Site, ...]:
     names = [f.name for f in layout.schema.state]
-    return tuple(Site(group, (), tuple(names[i] for i in members), "sensors", "s") for group, members in _sensors(layout))
+    return tuple(
+        Site(group, (), tuple(names[i] for i in members), "sensors", "s") for group, members in _sensors(layout)
+    )
 
 
 def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], layout: Layout) -> Array:

@@ -22,9 +22,7 @@ def _integrated_sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(Site(fields[i].name, (), (fields[i].name,), "positions", fields[i].unit) for i in _integrated(layout))
 
 
-def _integration_rule(
-    c: Float[Array, "1 n"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row
-) -> _S:
+def _integration_rule(c: Float[Array, "1 n"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
     """p' + c h (v - v'): positions advance by the old velocity to the share c."""
     for k, i in enumerate(_integrated(layout)):
         v = int(layout.integrates[i])

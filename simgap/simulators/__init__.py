@@ -6,8 +6,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from simgap.recordings import Normalisation, decode_state, encode_state
-from simgap.types import Simulator
+from simgap.recordings import HISTORY, Normalisation, decode_state, encode_state
+from simgap.types import Remembering, Simulator
 
 
 def parameter_ranges(simulator: Simulator) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
@@ -27,10 +27,16 @@ def sample_parameters(simulator: Simulator, key: PRNGKeyArray, count: int) -> Fl
 def state_difference(simulator: Simulator, params: Float[Array, " p"], x: Float[Array, " x"]) -> Float[Array, " y"]:
     """g(x, phi): the simulator on the learning problem's input and output.
 
-    x = [encoded s_t, u_{t-2}, u_{t-1}, u_t], y = encoded s_{t+1} - encoded s_t. The paper's equations take u_t alone.
+    x = [encoded s_t, u_{t-2}, u_{t-1}, u_t], y = encoded s_{t+1} - encoded s_t. The paper's equations take u_t alone; a
+    simulator with effects on the command path, such as a dead time, takes all three (`step_from_history`).
     """
     encoded, command = x[: len(simulator.schema.encoded)], x[-len(simulator.schema.command) :]
-    state_next = simulator.step(params, decode_state(simulator.schema, encoded), command)
+    state = decode_state(simulator.schema, encoded)
+    if isinstance(simulator, Remembering):
+        commands = x[len(encoded) :].reshape(HISTORY + 1, len(command))
+        state_next = simulator.step_from_history(params, state, commands)
+    else:
+        state_next = simulator.step(params, state, command)
     return encode_state(simulator.schema, state_next) - encoded
 
 

@@ -21,12 +21,13 @@ from simgap import scores
 from simgap.simulators.spot import SCHEMA
 from tasks import files, transitions
 from tasks.train import input_columns
-from tasks.workspace import Cell, Workspace
+from tasks.workspace import Cell, Share, Workspace
 
 ROOT = Path(__file__).parents[2]
 TINY: dict[str, Any] = {
     "recordings": {"virtual": {"training_sessions": 2, "test_sessions": 1, "session_s": 12.0}},
     "train": {
+        "models": ["sim_model", "fsvgd", "sim_fsvgd"],
         "noises": ["student_t"],
         "sample_sizes": [40, 80],
         "seeds": [0],
@@ -37,6 +38,7 @@ TINY: dict[str, Any] = {
 }
 MODELS, SIZES = ("sim_model", "fsvgd", "sim_fsvgd"), (40, 80)
 CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
+DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
 
 
 def start(folder: Path, overrides: dict[str, Any]) -> subprocess.Popen[bytes]:
@@ -180,6 +182,31 @@ def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
     table = pd.read_csv(tmp_path / "w" / "reports" / "virtual" / "scores.csv")
     assert table["sample_size"].tolist() == [40]
     assert not stale.exists()
+
+
+def test_models_that_are_given_a_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One diagnosis serves both; where the recordings are too few for it, their cells fail and lose no other."""
+    train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
+    status, output = finish(start(tmp_path, {**TINY, "train": train}), tmp_path)
+    assert status == 1
+    assert "3 of 6 cells failed" in output
+    workspace = Workspace(tmp_path / "w", "virtual")
+    assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
+    found = files.read_json(workspace.effects(Share(80, 0)))["effects"]
+
+    runs = children(tmp_path).set_index("name")
+    for model in DIAGNOSED:
+        run = runs.loc[Cell("student_t", model, 80, 0).name]
+        assert (run["diagnosis"], run["effects"]) == ("diagnosis-N80-s0", ", ".join(found) or "none")
+        assert np.isfinite(run["nll"])
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path / 'mlflow.db'}")
+    run_id = runs.loc[Cell("student_t", "sim_model_diagnosed", 80, 0).name, "id"]
+    rows = pd.DataFrame(np.zeros((3, 31)), columns=list(input_columns(SCHEMA)))
+    assert np.isfinite(mlflow.pyfunc.load_model(f"runs:/{run_id}/model").predict(rows).to_numpy()).all()
+
+    report = (workspace.reports / "report.md").read_text()
+    assert f"N = 80: {', '.join(found) or 'none'} (seed 0)" in report
+    assert "SIM-MODEL + diagnosed: **level at 1** of 1 N against SIM-MODEL" in report
 
 
 @pytest.mark.parametrize(

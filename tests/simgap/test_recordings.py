@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simgap.recordings import check_recording, decode_state, draw, encode_state, normalisation, to_transitions
+from simgap.recordings import (
+    HISTORY,
+    check_recording,
+    decode_state,
+    divide,
+    draw,
+    encode_state,
+    normalisation,
+    to_transitions,
+)
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, RecordingError
 
@@ -92,3 +101,25 @@ def test_bad_columns_are_named(table: dict[str, np.ndarray], words: list[str]) -
     with pytest.raises(RecordingError) as error:
         check_recording(SCHEMA, "a.csv", table)
     assert all(word in str(error.value) for word in words)
+
+
+@given(st.lists(st.integers(4, 30), min_size=1, max_size=5), st.integers(0, 150))
+@settings(max_examples=60, deadline=None)
+def test_sessions_are_divided_at_a_number_of_transitions(rows: list[int], count: int) -> None:
+    """The first part has exactly that many, and no row is in both."""
+    given = [session(f"{i}", n, 1000.0 * i) for i, n in enumerate(rows)]
+    first, rest = divide(given, count)
+
+    def transitions(parts: list[Recording]) -> int:
+        assert all(len(r.time_s) == len(r.state) == len(r.command) >= HISTORY + 2 for r in parts)
+        return sum(len(r.time_s) - 1 - HISTORY for r in parts)
+
+    whole = transitions(given)
+    assert transitions(first) == min(count, whole)
+    # The cut costs the rest a history and, where less than a transition is left, that.
+    assert max(whole - count - HISTORY - 1, 0) <= transitions(rest) <= max(whole - count, 0)
+    places = [float(x) for r in (*first, *rest) for x in r.state[:, 0]]
+    assert places == sorted(set(places))
+    names = [r.name for r in (*first, *rest)]
+    assert len(names) == len(set(names))
+    assert all("rows" in n or len(r.time_s) == rows[int(n)] for n, r in zip(names, (*first, *rest), strict=True))

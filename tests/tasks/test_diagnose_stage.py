@@ -10,6 +10,7 @@ import pytest
 from examples.drive import DRIVE
 from examples.record import record
 from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
+from simgap.effects.effect import Scales
 from simgap.types import Recording, RecordingError
 from tasks import diagnose, files
 from tasks.diagnose import Folders
@@ -22,7 +23,10 @@ STATEMENT: dict[str, Any] = {
                        "augmented": {"nll_1": {"value": float("nan"), "ci95": [0.0, 0.0]}}},
             "explained_share": None},
 }  # fmt: skip
-MODEL = AugmentedModel(np.array([2.0, 4.0]), np.zeros(7), np.ones(2), np.full(2, 0.1), np.full(2, np.inf))
+SCALES = Scales(*(np.ones(2) for _ in Scales._fields[:-2]), duration=2.0, time_step=0.02)
+MODEL = AugmentedModel(
+    np.array([2.0, 4.0]), np.zeros(7), np.ones(2), np.full(2, 0.1), np.full(2, np.inf), np.eye(2), SCALES
+)
 EXPERIMENT = (np.arange(3) * 0.02, np.array([[0.0], [15.0], [-15.0]]))
 
 
@@ -87,7 +91,9 @@ def test_what_is_written_reads_back_and_an_old_experiment_goes(tmp_path: Path) -
     assert list(commands.columns) == ["time_s", "cmd_force"]
     np.testing.assert_allclose(commands.to_numpy(), np.column_stack(EXPERIMENT))
     arrays = files.load_arrays(tmp_path / "augmented.npz")
-    assert {name: a.tolist() for name, a in arrays.items()} == {n: a.tolist() for n, a in MODEL._asdict().items()}
+    written = MODEL._asdict()
+    written |= {f"scales_{name}": np.asarray(scale) for name, scale in written.pop("scales")._asdict().items()}
+    assert {name: a.tolist() for name, a in arrays.items()} == {n: a.tolist() for n, a in written.items()}
 
     diagnose.write.fn(tmp_path, found._replace(experiment=None), DRIVE.schema)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["augmented.npz", "diagnosis.html", "diagnosis.json"]

@@ -1,6 +1,7 @@
 """The door to data files: what is written reads back the same, and what cannot be used says why and harms nothing."""
 
 import csv
+import dataclasses
 import math
 import os
 import pickle
@@ -19,9 +20,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from simgap.models import BNN, FittedSpot, Model, predict
+from simgap.diagnosis.measure import measure
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Augmented
+from simgap.models import BNN, FittedSimulator, FittedSpot, Model, predict
 from simgap.recordings import normalisation
 from simgap.simulators import parameter_ranges
+from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording, RecordingError, SimgapError
 from tasks import files
@@ -587,15 +592,41 @@ def fitted_spot() -> FittedSpot:
     return FittedSpot((low + high) / 2, scale, 30 * scale, np.float32(STEP))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("model", [bnn(), fitted_spot()], ids=["BNN", "FittedSpot"])
+def fitted_simulator() -> FittedSimulator:
+    """With a dead time and a friction."""
+    augmented, spot = Augmented(Spot(STEP)), fitted_spot()
+    rng = np.random.default_rng(3)
+    recording = Recording("made up", np.arange(60) / 15, rng.normal(size=(60, 12)), rng.normal(size=(60, 6)))
+    theta = np.zeros(len(augmented.slots), np.float32)
+    for i, slot in enumerate(augmented.slots):
+        theta[i] = {"delay": 1.3, "coulomb_friction": 0.1}.get(CATALOGUE[slot.effect].id, 0.0)
+    simulator = AugmentedSimulator.of(Spot(STEP), theta, measure(augmented, [recording]))
+    return FittedSimulator(simulator, spot.params, spot.scale, spot.dof)
+
+
+@pytest.mark.parametrize(
+    "model", [bnn(), fitted_spot(), fitted_simulator()], ids=["BNN", "FittedSpot", "FittedSimulator"]
+)
 def test_a_model_read_back_predicts_the_same(tmp_path: Path, model: Model) -> None:
     files.save_model(tmp_path / "model.npz", model)
+    read = files.load_model(tmp_path / "model.npz")
+    if isinstance(model, FittedSimulator):
+        assert read.simulator == model.simulator  # type: ignore[union-attr]
     x: Any = np.random.default_rng(2).normal(size=31).astype(np.float32)
-    for one, other in zip(predict(files.load_model(tmp_path / "model.npz"), x), predict(model, x), strict=True):
+    for one, other in zip(predict(read, x), predict(model, x), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("model", [bnn(), fitted_spot()], ids=["BNN", "FittedSpot"])
+def test_a_model_of_another_simulator_is_not_written(tmp_path: Path) -> None:
+    model = dataclasses.replace(fitted_simulator(), simulator=Spot(STEP))
+    with pytest.raises(SimgapError, match="cannot be written"):
+        files.save_model(tmp_path / "model.npz", model)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "model", [bnn(), fitted_spot(), fitted_simulator()], ids=["BNN", "FittedSpot", "FittedSimulator"]
+)
 def test_a_model_with_other_arrays_is_named(tmp_path: Path, model: Model) -> None:
     path = tmp_path / "model.npz"
     files.save_model(path, model)
@@ -612,7 +643,7 @@ def test_a_model_with_other_arrays_is_named(tmp_path: Path, model: Model) -> Non
 @pytest.mark.parametrize("arrays", [{"x": np.ones(3)}, {"kind": np.array("GaussianProcess")}, {"kind": np.ones(9)}])
 def test_arrays_that_are_no_model_are_named(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     files.save_arrays(tmp_path / "other.npz", arrays)
-    with pytest.raises(SimgapError, match=r"other\.npz: holds no model; .* must be BNN or FittedSpot"):
+    with pytest.raises(SimgapError, match=r"other\.npz: holds no model; .* must be BNN, FittedSpot or FittedSimulator"):
         files.load_model(tmp_path / "other.npz")
 
 

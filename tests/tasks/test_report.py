@@ -51,6 +51,46 @@ def test_a_claim_that_fails_is_said_to_fail() -> None:
     assert "does not hold" in answers["Sim-FSVGD below SIM-MODEL from N = 2000 on"]
 
 
+def diagnosed() -> list[dict[str, Any]]:
+    """The paper's scores with both diagnosed models, better by a nat each, and what was found."""
+    found = {
+        (1000, 0): "delay, lag",
+        (1000, 1): "",
+        (1000, 2): "",
+        (2000, 0): "lag",
+        (2000, 1): "lag",
+        (2000, 2): "lag",
+    }
+    more = [
+        {**r, "model": f"{r['model']}_diagnosed", "nll": r["nll"] - 1.0, "effects": found[r["sample_size"], r["seed"]]}
+        for r in PAPER
+        if r["model"] != "fsvgd"
+    ]
+    return [*PAPER, *more]
+
+
+def test_what_the_diagnosis_adds_is_told(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path, "virtual")
+    score.write(workspace, diagnosed())
+    report.write(workspace, score.load(workspace), ["gaussian"], 60)
+    text = (workspace.reports / "report.md").read_text()
+    assert "- SIM-MODEL + diagnosed: **below at 2** of 2 N against SIM-MODEL (-1.00 ± 0.00 at N = 1000, -1.00" in text
+    assert "- Sim-FSVGD + diagnosed: **below at 2** of 2 N against Sim-FSVGD" in text
+    assert "- N = 1000: delay, lag (seed 0); none (seed 1, 2)\n- N = 2000: lag (seed 0, 1, 2)" in text
+    assert "| SIM-MODEL + diagnosed | 1000 | -21.00 ± 0.10 |" in text
+    assert "nan" not in text
+    table = pd.read_csv(workspace.reports / "scores.csv", keep_default_na=False)
+    assert set(table.loc[table["model"] == "sim_model_diagnosed", "effects"]) == {"delay, lag", "", "lag"}
+    wide = pd.read_csv(workspace.reports / "nll.csv")
+    assert "gaussian_sim_fsvgd_diagnosed" in wide.columns
+    assert not wide.isna().any(axis=None)
+
+
+def test_without_diagnosed_models_nothing_is_said_of_them() -> None:
+    assert report.diagnosis_adds(PAPER, "gaussian") == []
+    assert report.effects_found(PAPER) == []
+
+
 def test_comparison_is_paired_by_seed_and_careful_with_one() -> None:
     (one,) = report.compare(rows({("a", 100): (1.0,), ("b", 100): (9.0,)}), "gaussian", "a", "b")
     assert one["verdict"] == "level"

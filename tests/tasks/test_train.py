@@ -4,9 +4,9 @@ from pathlib import Path
 
 from simgap.simulators.spot import SCHEMA
 from tasks import train
-from tasks.fingerprint import code_digest, fingerprint, modules_of_training
+from tasks.fingerprint import AUGMENTED, DIAGNOSIS, TRAINING, code_digest, codes, fingerprint, modules_of
 from tasks.params import load_params
-from tasks.workspace import Cell, Workspace
+from tasks.workspace import Cell, Share, Workspace
 
 PARAMS = load_params(Path(__file__).parents[2] / "params.yaml").train
 CELL = Cell("gaussian", "fsvgd", 1000, 0)
@@ -30,15 +30,34 @@ def test_sim_models_fingerprint_ignores_the_networks() -> None:
 
 
 def test_code_of_training_is_what_learning_imports() -> None:
-    names = {path.stem for path in modules_of_training()}
+    names = {path.stem for path in modules_of(TRAINING)}
     assert {"learn", "fsvgd", "identify", "priors", "networks", "noise", "recordings", "spot", "domain"} <= names
     assert not names & {"scores", "virtual_spot", "operator", "types"}
-    assert code_digest() == code_digest()
+    assert code_digest(TRAINING) == code_digest(TRAINING)
+
+
+def test_code_of_the_diagnosis_makes_no_other_model_stale() -> None:
+    """What the paper's models compute does not depend on it."""
+    diagnosis = [path for path in modules_of(DIAGNOSIS) if {"diagnosis", "effects"} & set(path.parts)]
+    effects = [path for path in diagnosis if "effects" in path.parts]
+    assert len(diagnosis) > len(effects) > 5
+    assert not set(diagnosis) & set(modules_of(TRAINING))
+    assert set(modules_of(TRAINING)) | set(effects) <= set(modules_of(AUGMENTED))
+    assert not (set(diagnosis) - set(effects)) & set(modules_of(AUGMENTED))
+    assert len(set(codes())) == 3
+
+
+def test_a_diagnosed_cells_fingerprint_holds_its_diagnosis() -> None:
+    diagnosed = CELL._replace(model="sim_fsvgd_diagnosed")
+    assert (diagnosed.method, diagnosed.share) == ("sim_fsvgd", Share(1000, 0))
+    assert (CELL.method, CELL.share) == ("fsvgd", None)
+    marks = {fingerprint(diagnosed, "d", 1 / 15, PARAMS, "c", found) for found in ("one", "another", None)}
+    assert len(marks) == 3
 
 
 def test_the_grid_has_every_cell_once_longest_first() -> None:
     cells = train.grid(PARAMS)
-    assert len(cells) == len(set(cells)) == 90
+    assert len(cells) == len(set(cells)) == 150
     assert [cell.sample_size for cell in cells] == sorted((c.sample_size for c in cells), reverse=True)
 
 
@@ -53,11 +72,15 @@ def test_inputs_have_31_distinct_names() -> None:
 def test_cells_that_left_the_grid_leave_the_folder(tmp_path: Path) -> None:
     workspace = Workspace(tmp_path, "virtual")
     old = CELL._replace(sample_size=10)
-    for cell in (CELL, old):
+    diagnosed = CELL._replace(model="sim_model_diagnosed")
+    for cell in (CELL, old, diagnosed):
         workspace.model(cell).parent.mkdir(parents=True, exist_ok=True)
         workspace.model(cell).touch()
         workspace.record(cell).touch()
-    train.remove_stale(workspace, [CELL])
-    assert workspace.model(CELL).exists()
-    assert not workspace.model(old).exists()
-    assert not workspace.record(old).exists()
+    for share in (Share(1000, 0), Share(1000, 1)):
+        workspace.augmented(share).touch()
+        workspace.effects(share).touch()
+    train.remove_stale(workspace, [CELL, diagnosed])
+    left = {workspace.model(CELL), workspace.record(CELL), workspace.model(diagnosed), workspace.record(diagnosed)}
+    left |= {workspace.augmented(Share(1000, 0)), workspace.effects(Share(1000, 0))}
+    assert set(workspace.models.iterdir()) == left

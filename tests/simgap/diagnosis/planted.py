@@ -61,14 +61,20 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
         state = state + noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
         return (state, memory, op, acted), (measured, u)
 
-    start = (state, remember(SPOT, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())), operator.init(), jnp.zeros(6))
+    start = (
+        state,
+        remember(SPOT, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())),
+        operator.init(),
+        jnp.zeros(6),
+    )
     times = jnp.arange(rows) / 15
     return jax.lax.scan(row, start, (jax.random.split(key, rows), times))[1]
 
 
 def recordings(
-    constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI, during=None, from_s=0.0, to_s=np.inf, only=None, lost=0.0
-) -> list[Recording]:
+    constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI, during=None, from_s=0.0, to_s=np.inf, only=None,
+    lost=0.0,
+) -> list[Recording]:  # fmt: skip
     """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise.
 
     `during` are constants that hold from `from_s` to `to_s` besides, in session `only` if it is given; `lost` is the
@@ -78,7 +84,8 @@ def recordings(
     for s in range(sessions):
         key = jax.random.fold_in(jax.random.key(seed), s)
         more = theta(during or {}) * (only in (None, s))
-        y, u = _run(key, jnp.asarray(theta(constants)), jnp.asarray(more), from_s, to_s, lost, jnp.asarray(phi), noise, rows)
+        planted = (jnp.asarray(a) for a in (theta(constants), more))
+        y, u = _run(key, *planted, from_s, to_s, lost, jnp.asarray(phi), noise, rows)
         out.append(Recording(f"s{s}", np.arange(rows) / 15, np.asarray(y, np.float64), np.asarray(u, np.float64)))
     return out
 

@@ -1,18 +1,15 @@
 """Planted recordings of one small size, so that all tests share what is compiled for it; and what is found in them."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from planted import SPOT, recordings
 
-from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.fit import BATCHES, Fit, Problem, evaluate, start, whitening
+from simgap.diagnosis import explain as explanation
+from simgap.diagnosis.explain import Explanation
+from simgap.diagnosis.fit import BATCHES, Problem
 from simgap.diagnosis.innovations import Chunks, Variables, cut, innovations_of
 from simgap.diagnosis.measure import measure
-from simgap.diagnosis.rivals import Member, defend
-from simgap.diagnosis.search import Model, search
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
@@ -46,31 +43,6 @@ def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chun
     return np.asarray(innovations_of(augmented, scales, several, chunks)[0])
 
 
-class Explanation(NamedTuple):
-    """What a search ends with: the model, the effects in it, and the chance of the best hypothesis under noise."""
-
-    model: Model
-    members: tuple[Member, ...]
-    p_value: float
-
-    @property
-    def ids(self) -> set[str]:
-        return {m.candidate.effect.id for m in self.members}
-
-
 def explain(training: list[Recording], heldout: list[Recording]) -> Explanation:
-    """Forward search, then every effect against its rivals, as `diagnose` does."""
-    of = problem(training)
-    begun = evaluate(of, start(of), ())
-    of = of._replace(whiten=whitening(begun.e))
-    unseen = cut(heldout, 1 / 15, least=len(of.chunks.row))
-
-    def helps(on: Problem, without: Fit, with_it: Fit) -> bool:
-        there = on._replace(chunks=unseen)
-        a, b = (evaluate(there, f.v, (), f.noise).loglik for f in (without, with_it))
-        return b > a
-
-    hypotheses, rng = candidates(SPOT, of.scales), np.random.default_rng(0)
-    found = search(of, evaluate(of, begun.v, ()), hypotheses, helps, rng, print)
-    model, members, _ = defend(found, hypotheses, rng, print)
-    return Explanation(model, members, found.rounds[0].screening.p_value)
+    """The best explanation, with the lines of the search in pytest's output."""
+    return explanation.explain(SPOT.simulator, training, heldout, (), np.random.default_rng(0), print)

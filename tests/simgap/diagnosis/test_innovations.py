@@ -12,6 +12,7 @@ from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, acting, innovations, sessions
 
 from examples.drive import DRIVE
+from simgap.diagnosis.fit import BATCHES
 from simgap.diagnosis.innovations import LENGTH, PAD, Variables, as_chunks, cut, tangents, wrap
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE
@@ -206,11 +207,11 @@ def test_tangents_agree_with_finite_differences() -> None:
     chunks = cut(nothing_planted(), 1 / 15)
     chunks = chunks._replace(gate=jnp.asarray(rng.integers(0, 2, chunks.gate.shape), jnp.float32))
     on = np.asarray(v.theta) != 0
-    random = lambda a, where=True: jnp.asarray(rng.normal(size=(2, len(a))) * where, jnp.float32)  # noqa: E731
+    random = lambda a, where=True: jnp.asarray(rng.normal(size=(BATCHES[-1], len(a))) * where, jnp.float32)  # noqa: E731
     directions = Variables(random(v.phi), random(v.gain), 0.1 * random(v.theta, on), 0.1 * random(v.theta, on))
     got = np.asarray(tangents(SPOT, SCALES, v, directions, chunks))
     h = 3e-3
-    for i, tangent in enumerate(got):
+    for i, tangent in enumerate(got[:3]):
         along = jax.tree.map(lambda d, i=i: d[i], directions)
         ahead, back = (
             innovations(SPOT, SCALES, jax.tree.map(lambda a, d, s=s: a + s * d, v, along), chunks) for s in (h, -h)

@@ -150,6 +150,26 @@ def test_memory_keeps_what_was_sent_and_where_the_robot_was(robot: str) -> None:
     np.testing.assert_array_equal(after.states, jnp.concatenate([state[None], memory.states[:-1]]))
 
 
+@robots
+def test_constants_known_before_tracing_give_the_same(robot: str) -> None:
+    """Of numpy's zeros no law is computed at all."""
+    gain, bias = (next(e for e in CATALOGUE if e.id == i) for i in ("gain", "sensor_bias"))
+    for constants in (
+        0 * theta(robot, gain, [0.1], [0]),
+        theta(robot, gain, [0.1], [0]) + theta(robot, bias, [1.0], [1]),
+    ):
+        memory, state, command = scene(robot, 6)
+        traced = one_step(robot, constants, memory, state, command, scales(robot))
+        known, augmented = np.asarray(constants), ROBOTS[robot]
+        after, then = advance(augmented, PHI[robot], known, scales(robot), memory, state, command, ROW)
+        measured = sense(augmented, known, after, then)
+        np.testing.assert_allclose(then, traced[1], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(measured, traced[2], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(
+            unsense(augmented, known, measured), unsense(augmented, constants, measured), rtol=1e-6, atol=1e-6
+        )
+
+
 # Gradients
 
 
@@ -202,21 +222,44 @@ def test_every_effect_acts(robot: str) -> None:
 # Dissipation
 
 
+def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
+    """What a push sees in a random scene, whose response to a push is positive, as robots' are."""
+    augmented = ROBOTS[robot]
+    _, state, command = scene(robot, seed)
+    now, then = motion(augmented.layout, state), motion(augmented.layout, scene(robot, seed + 1)[1])
+    response = jnp.abs(motion(augmented.layout, scene(robot, seed + 2)[1]).velocity)
+    return Step(now, then, response, command, augmented.layout, scales(robot), ROW), np.asarray(response)
+
+
 @robots
 @given(seed=seeds)
 @settings(max_examples=20, deadline=None)
 def test_resistances_never_add_power(robot: str, seed: int) -> None:
-    augmented, rng = ROBOTS[robot], np.random.default_rng(seed)
-    _, state, command = scene(robot, seed)
-    now, then = motion(augmented.layout, state), motion(augmented.layout, scene(robot, seed + 1)[1])
-    step = Step(now, then, command, augmented.layout, scales(robot), ROW)
+    step, response = look(robot, seed)
+    rng = np.random.default_rng(seed)
     for effect in resistance.EFFECTS:
         sites = sites_of(robot, effect)
         if sites:
             assert all(c.low >= 0 for c in effect.constants)
             push = effect.law(jnp.asarray(rng.exponential(size=(1, len(sites))), jnp.float32), step)
-            assert (push * now.velocity).max() <= 0
+            # Dry friction works against the motion it would else leave, the others against the motion at hand.
+            resisted = step.then.velocity if effect.id == "coulomb_friction" else step.now.velocity
+            assert (push * resisted).max() <= 0
             assert float(jnp.abs(push).sum()) > 0
+            if effect.id == "coulomb_friction":  # it stops, it does not turn back
+                left = np.asarray(step.then.velocity + push * response)
+                assert (left * np.asarray(step.then.velocity) >= -1e-6).all()
+
+
+@robots
+def test_dry_friction_of_the_whole_robot_brings_it_to_rest(robot: str) -> None:
+    """Much of it, and no command: no axis turns back, and what is commanded to stand stands."""
+    (coulomb,) = (e for e in CATALOGUE if e.id == "coulomb_friction")
+    much = theta(robot, coulomb, [1e3], list(range(len(sites_of(robot, coulomb)))))
+    memory, state, command = scene(robot, 2)
+    _, then, _ = one_step(robot, much, memory, state, 0 * command, scales(robot))
+    left = motion(ROBOTS[robot].layout, then).velocity
+    assert np.abs(left).max() < 0.05 * np.abs(motion(ROBOTS[robot].layout, state).velocity).max()
 
 
 @robots
@@ -224,7 +267,7 @@ def test_resistances_are_nil_at_rest(robot: str) -> None:
     augmented = ROBOTS[robot]
     _, state, command = at_rest(robot)
     still = motion(augmented.layout, state)
-    step = Step(still, still, command, augmented.layout, scales(robot), ROW)
+    step = Step(still, still, jnp.ones_like(still.velocity), command, augmented.layout, scales(robot), ROW)
     for effect in resistance.EFFECTS:
         push = effect.law(jnp.ones((1, len(sites_of(robot, effect)))), step)
         assert not push.any()

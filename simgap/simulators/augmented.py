@@ -1,0 +1,112 @@
+"""A simulator with the effects that a diagnosis found: it stands wherever the simulator stood."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, get_args
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Place, Row, Scales
+from simgap.recordings import HISTORY
+from simgap.types import Parameter, Schema, Simulator
+
+SETTLING = 16
+"""Rows for which the oldest known command is taken to have been sent, where play or lags remember it."""
+
+
+@dataclass(frozen=True)
+class AugmentedSimulator:
+    """`simulator` with the internal constants theta of all effects at all sites, known and fixed; as a `Simulator`.
+
+    What the constants refer to, the `Scales` of the recordings they were found in, is held as tuples, so that it can be
+    hashed. Outputs measured late are not taken back, for one state does not say how fast it was reached. The time in
+    a session, which no input of a learning problem holds, is that of the middle of the longest one.
+    """
+
+    simulator: Simulator
+    theta: tuple[float, ...]
+    frozen_scales: tuple[Any, ...]
+
+    @staticmethod
+    def of(simulator: Simulator, theta: Float[np.ndarray, " P"], scales: Scales) -> "AugmentedSimulator":
+        """From the arrays that a diagnosis gives."""
+        values = np.asarray(theta, np.float32)
+        expected = len(Augmented(simulator).slots)
+        if values.shape != (expected,):
+            raise ValueError(f"theta has shape {values.shape}; this simulator's effects have {expected} constants.")
+        return AugmentedSimulator(simulator, tuple(map(float, values)), tuple(_frozen(s) for s in scales))
+
+    @property
+    def schema(self) -> Schema:
+        """The simulator's own."""
+        return self.simulator.schema
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The simulator's own."""
+        return self.simulator.parameters
+
+    @property
+    def time_step(self) -> float:
+        """The simulator's own [s]."""
+        return self.simulator.time_step
+
+    @cached_property
+    def augmented(self) -> Augmented:
+        """The simulator with all effects, whose constants `constants` are."""
+        return Augmented(self.simulator)
+
+    @cached_property
+    def constants(self) -> Float[np.ndarray, " P"]:
+        """theta as an array of numpy's: laws whose constants are all zero are never traced."""
+        return np.asarray(self.theta, np.float32)
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Magnitudes that the constants refer to."""
+        return Scales(*(np.asarray(s) if isinstance(s, tuple) else s for s in self.frozen_scales))  # type: ignore[arg-type]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The ids of the effects that are in it."""
+        found = self.augmented.constants(self.constants, *get_args(Place))
+        return tuple(dict.fromkeys(effect.id for effect, _ in found))
+
+    def step(
+        self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
+    ) -> Float[Array, " s"]:
+        """The next state, as if this command had been sent all along."""
+        return self.step_from_history(params, state, jnp.tile(command, (HISTORY + 1, 1)))
+
+    def step_from_history(
+        self, params: Float[Array, " p"], state: Float[Array, " s"], commands: Float[Array, "3 u"]
+    ) -> Float[Array, " s"]:
+        """The next state given u_{t-2}, u_{t-1}, u_t; before them, u_{t-2} was sent all along."""
+        augmented, theta = self.augmented, self.constants
+        remembers = bool(augmented.constants(theta, "filter"))
+        earlier = jnp.tile(commands[0], (HISTORY_ROWS - HISTORY + 1 + remembers * SETTLING, 1))
+        past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])
+        start = unsense(augmented, theta, state)
+        row = Row(jnp.asarray(self.scales.duration / 2), jnp.ones(()))
+        memory = remember(augmented, theta, start, past, row.time_s)
+        memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
+        at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
+        return sense(augmented, theta, at_rest, then)
+
+    def to_body(self, state: Float[Array, " s"]) -> Float[Array, " s"]:
+        """The simulator's own."""
+        return self.simulator.to_body(state)
+
+    def from_body(self, body: Float[Array, " s"]) -> Float[Array, " s"]:
+        """The simulator's own."""
+        return self.simulator.from_body(body)
+
+
+def _frozen(values: Any) -> Any:
+    """An array as nested tuples, a number as it is."""
+    if isinstance(values, np.ndarray | list):
+        return tuple(_frozen(v) for v in (values.tolist() if isinstance(values, np.ndarray) else values))
+    return float(values)

@@ -1,0 +1,98 @@
+"""What a diagnosis finds in a share of the training sessions: the simulator of the models that are given it."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from prefect import task
+
+from simgap.diagnosis.explain import explain
+from simgap.recordings import HISTORY, divide
+from simgap.simulators.augmented import AugmentedSimulator
+from simgap.simulators.spot import SCHEMA, Spot
+from simgap.types import ConfigError, Recording
+from tasks import files
+from tasks.diagnose import digest
+from tasks.fingerprint import of_diagnosis
+from tasks.workspace import Cell, Share, Workspace
+
+FITTED = 0.75
+"""Share of the transitions that the effects are fitted to; the others judge, none of the test sessions does."""
+
+
+class Sessions(NamedTuple):
+    """Sessions and parts of sessions to fit effects to and to judge them by."""
+
+    training: list[Recording]
+    heldout: list[Recording]
+
+
+class Found(NamedTuple):
+    """The simulator with what was found and what identifies the diagnosis.
+
+    Effects on the scatter, and those that act for a while only, are not in it.
+    """
+
+    simulator: AugmentedSimulator
+    fingerprint: str
+
+
+def shares(cells: Sequence[Cell]) -> list[Share]:
+    """Every share of the recordings that cells have diagnosed, in the order of the cells."""
+    return list(dict.fromkeys(cell.share for cell in cells if cell.share is not None))
+
+
+def sessions(recordings: Sequence[Recording], share: Share) -> Sessions:
+    """Sessions in an order drawn from the seed until their transitions number N, the last one cut.
+
+    Raises ConfigError when the recordings have fewer than N transitions.
+    """
+    available = sum(len(r.time_s) - 1 - HISTORY for r in recordings)
+    if share.sample_size > available:
+        raise ConfigError(
+            f"N = {share.sample_size} transitions are asked for and the training sessions have {available}. "
+            "Lower train.sample_sizes, or add sessions."
+        )
+    order = np.random.default_rng(share.seed).permutation(len(recordings))
+    taken, _ = divide([recordings[i] for i in order], share.sample_size)
+    return Sessions(*divide(taken, round(FITTED * share.sample_size)))
+
+
+@task(task_run_name="{share.name}")
+def find(
+    workspace: Workspace,
+    share: Share,
+    time_step: float,
+    code: str,
+    say: Callable[[str], None],
+    clock: Callable[[], float],
+) -> None:
+    """Diagnose the kinematic model with a share of the training sessions, unless that was done before.
+
+    `code` is the digest of the diagnosis' code; `clock` gives seconds.
+    """
+    recordings, errors = files.read_recordings(workspace.recordings / "training", SCHEMA, time_step)
+    if errors:
+        raise errors[0]
+    used = sessions(recordings, share)
+    mark = of_diagnosis(share, digest([*used.training, *used.heldout]), time_step, code)
+    arrays, record = workspace.augmented(share), workspace.effects(share)
+    if arrays.exists() and record.exists() and files.read_json(record).get("fingerprint") == mark:
+        say("diagnosed before")
+        return
+    # Should this fail, what was found by other code must not pass for its result.
+    record.unlink(missing_ok=True)
+    start, spot = clock(), Spot(time_step=time_step)
+    found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
+    simulator = AugmentedSimulator.of(spot, np.asarray(found.fit.v.theta), found.problem.scales)
+    files.save_arrays(arrays, files.augmented_arrays(simulator))
+    files.write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
+                              "effects": list(simulator.effects),
+                              "found": [m.candidate.name for m in found.members],
+                              "scattered": [s.id for s in found.scattered]})  # fmt: skip
+
+
+def load(workspace: Workspace, share: Share) -> Found:
+    """What `find` found; SimgapError when it has not been run."""
+    simulator = files.augmented_spot(files.load_arrays(workspace.augmented(share)))
+    return Found(simulator, files.read_json(workspace.effects(share))["fingerprint"])

@@ -1,0 +1,254 @@
+"""Whole diagnoses: of a planted delay, of nothing, of a wrong parameter, and of physics that the vocabulary lacks."""
+
+import json
+from collections.abc import Callable
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from planted import PHI, PROCESS, SENSOR
+from small import RICH, ROWS, SESSIONS, acting, sessions
+
+from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
+from simgap.effects.augmented import Augmented
+from simgap.robots import operator
+from simgap.simulators.spot import Spot
+from simgap.types import Parameter, Recording
+
+SPOT = Spot(parameters=tuple(
+    Parameter(p.name, p.unit, p.low, p.high, float(nominal))
+    for p, nominal in zip(Spot().parameters, PHI, strict=True)
+))  # fmt: skip
+"""As it is: with the parameters that the recordings are made with."""
+
+
+@cache
+def delayed() -> Diagnosis:
+    """1.4 rows of dead time on the base."""
+    return diagnose(SPOT, "spot", *sessions(acting("delay", (1.4,), (0, 1, 2)), RICH))
+
+
+@cache
+def nothing() -> Diagnosis:
+    return diagnose(SPOT, "spot", *sessions({}, RICH))
+
+
+# A planted delay
+
+
+def test_a_planted_delay_is_told() -> None:
+    told = delayed().statement
+    assert told["verdict"] == "missing_physics"
+    (effect,) = told["effects"]
+    assert effect["id"] == "delay"
+    assert effect["channels"] == ["cmd_base_vx", "cmd_base_vy", "cmd_base_wz"]
+    assert effect["outputs"] == ["base_vx", "base_vy", "base_wz"]
+    (constant,) = effect["constants"]
+    assert constant["name"] == "delay"
+    assert constant["unit"] == "s"
+    assert constant["value"] == pytest.approx(1.4 / 15, rel=0.1)
+    low, high = constant["ci95"]
+    assert low - 0.002 < 1.4 / 15 < high + 0.002
+    assert "dead time" in effect["statement"].lower()
+    assert effect["statement"] in told["statement"]
+
+
+def test_a_planted_delay_is_credible_and_nothing_else_is() -> None:
+    (effect,) = delayed().statement["effects"]
+    assert effect["credible_set"] == ["delay"]
+    assert effect["probability"] > 0.95
+    assert effect["gain_nats"] > 100
+    assert effect["heldout_gain_nats"] > 30
+    for other in delayed().statement["alternatives"]:
+        assert other["probability"] < 0.05
+
+
+def test_heldout_sessions_improve() -> None:
+    fit = delayed().statement["fit"]
+    assert fit["heldout_sessions"] == ["s3"]
+    assert set(fit["models"]) == {"as_is", "refitted", "augmented", "black_box"}
+    before, after = fit["models"]["refitted"], fit["models"]["augmented"]
+    assert after["nll_1"]["value"] < before["nll_1"]["value"] - 0.1
+    for horizon in (1, 10, 50):
+        assert after[f"error_{horizon}"]["value"] < before[f"error_{horizon}"]["value"]
+    for scores in fit["models"].values():
+        for score in scores.values():
+            low, high = score["ci95"]
+            assert low <= score["value"] <= high
+    assert fit["explained_share"] is None or fit["explained_share"] > 0.5
+
+
+def test_the_mismatch_is_where_the_delay_acts() -> None:
+    located = delayed().statement["located"]
+    moved = {"base_x", "base_y", "base_yaw", "base_vx", "base_vy", "base_wz", "ee_x", "ee_y", "ee_vx", "ee_vy"}
+    assert {o["name"] for o in located["outputs"]} <= moved  # the hand is carried by the base
+    assert {"base_vx", "base_wz"} <= {o["name"] for o in located["outputs"]}
+    assert all(0 < o["excess"] <= 1 for o in located["outputs"])
+    assert not located["intervals"]
+
+
+def test_the_experiment_separates_the_delay_from_its_rival() -> None:
+    told, planned = delayed().statement["experiment"], delayed().experiment
+    assert told is not None
+    assert planned is not None
+    assert told["separates"][0] == "delay"
+    assert told["separates"][1] != "delay"
+    time_s, commands = planned
+    assert commands.shape == (len(time_s), 6)
+    np.testing.assert_allclose(np.diff(time_s), 1 / 15)
+    assert np.abs(commands[:, :3]).max() > 0  # it moves the base
+    recorded = np.max([np.abs(r.command).max(0) for r in sessions(acting("delay", (1.4,), (0, 1, 2)), RICH)[0]], axis=0)
+    assert (np.abs(commands).max(0) <= recorded + 1e-6).all()
+
+
+def test_the_model_is_the_augmented_simulator() -> None:
+    model = delayed().model
+    augmented = Augmented(SPOT)
+    assert model.theta.shape == (len(augmented.slots),)
+    assert np.flatnonzero(model.theta).tolist() == [0, 1, 2]  # the delays of the base's commands
+    np.testing.assert_allclose(model.theta[:3], 1.4, rtol=0.1)
+    np.testing.assert_allclose(model.phi[:3], PHI[:3], atol=0.05)
+    assert all(np.isfinite(a).all() for a in (model.phi, model.gain, model.noise_scale, model.noise_dof))
+
+
+# Its layout
+
+
+@pytest.mark.parametrize("case", [delayed, nothing])
+def test_the_statement_is_json_with_all_keys(case) -> None:
+    told = case().statement
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert set(told) >= {
+        "schema", "simulator", "verdict", "located", "effects", "alternatives", "experiment", "parameters", "fit",
+        "statement",
+    }  # fmt: skip
+    assert told["schema"] == 1
+    assert told["simulator"] == "spot"
+    assert set(told["located"]) >= {"outputs", "regimes", "intervals"}
+    assert set(told["parameters"]) >= {"before", "after"}
+    assert set(told["fit"]) >= {"heldout_sessions", "models", "explained_share"}
+    names = [p.name for p in SPOT.parameters]
+    assert list(told["parameters"]["before"]) == list(told["parameters"]["after"]) == names
+    for effect in told["effects"]:
+        assert set(effect) >= {
+            "id", "probability", "channels", "outputs", "statement", "constants", "credible_set", "gain_nats",
+        }  # fmt: skip
+        for constant in effect["constants"]:
+            assert set(constant) == {"name", "value", "unit", "ci95"}
+
+
+@pytest.mark.parametrize("case", [delayed, nothing])
+def test_all_rows_of_the_pictures_have_their_sizes(case) -> None:
+    evidence = case().evidence
+    heat = evidence["heat"]
+    assert heat["values"].shape == (len(heat["outputs"]), len(heat["regimes"]))
+    assert [s["session"] for s in evidence["strips"]] == ["s0", "s1", "s2", "s3"]
+    for strip in evidence["strips"]:
+        assert len(strip["time_s"]) == len(strip["excess"])
+        assert np.isfinite(strip["excess"]).all()
+
+
+# Nothing, and a parameter
+
+
+def test_where_nothing_is_missing_nothing_is_claimed() -> None:
+    told = nothing().statement
+    assert told["verdict"] == "nothing"
+    assert told["effects"] == []
+    assert told["alternatives"] == []
+    assert told["experiment"] is None
+    assert nothing().experiment is None
+    assert told["located"]["outputs"] == told["located"]["regimes"] == told["located"]["intervals"] == []
+    assert not nothing().model.theta.any()
+    assert "nothing is missing" in told["statement"].lower()
+
+
+def test_a_wrong_parameter_is_told_as_such() -> None:
+    phi = PHI.copy()
+    phi[0], phi[20] = 0.15, 1.5
+    told = diagnose(SPOT, "spot", *sessions({}, RICH, phi=phi)).statement
+    assert told["verdict"] == "parameters_only"
+    assert told["effects"] == []
+    before, after = told["parameters"]["before"], told["parameters"]["after"]
+    assert before["alpha_1"] == pytest.approx(0.5)
+    assert after["alpha_1"] == pytest.approx(0.15, abs=0.05)
+    assert after["gamma_3"] == pytest.approx(1.5, abs=0.05)
+    low, high = told["parameters"]["ci95"]["gamma_3"]
+    assert low - 0.02 < 1.5 < high + 0.02
+
+
+# Outside of the vocabulary
+
+
+def by_heading(state: jax.Array) -> jax.Array:
+    """The hand drifts along the world's x, by 0.4 sin(3 yaw) of the base's speed."""
+    drift = 0.4 * jnp.sin(3 * state[2]) * jnp.sqrt(state[3] ** 2 + state[4] ** 2 + 1e-8)
+    return jnp.zeros(12).at[9].set(drift)
+
+
+def by_speed_and_turn(state: jax.Array) -> jax.Array:
+    """The hand is lifted by the base's speed forward times its yaw rate."""
+    forward = jnp.cos(state[2]) * state[3] + jnp.sin(state[2]) * state[4]
+    return jnp.zeros(12).at[11].set(0.6 * forward * state[5])
+
+
+def unheard(law: Callable[[jax.Array], jax.Array], seed: int) -> list[Recording]:
+    """Sessions of an operated Spot to whose velocities a law adds, and to its positions their integral."""
+
+    def row(carry, key):
+        state, op = carry
+        k1, k2, k3 = jax.random.split(key, 3)
+        measured = state + jnp.array(SENSOR) * jax.random.normal(k1, (12,))
+        op, u = operator.step(op, measured, k2, 1 / 15, operator.OperatorConfig())
+        more = law(state)
+        state = SPOT.step(jnp.asarray(PHI), state, u) + more + jnp.roll(more, -3) / 15
+        state = state + jnp.array(PROCESS) * jax.random.normal(k3, (12,))
+        return (state, op), (measured, u)
+
+    run = jax.jit(lambda state, key: jax.lax.scan(row, (state, operator.init()), jax.random.split(key, ROWS))[1])
+    found = []
+    for s in range(SESSIONS):
+        key = jax.random.fold_in(jax.random.key(seed), s)
+        y, u = run(jnp.array([0.0, 0, 0, 0, 0, 0, 0.8, 0, 0.6, 0, 0, 0]), key)
+        y, u = np.array(y, np.float64), np.asarray(u, np.float64)
+        y[:, 2] = np.arctan2(np.sin(y[:, 2]), np.cos(y[:, 2]))
+        found.append(Recording(f"s{s}", np.arange(ROWS) / 15, y, u))
+    return found
+
+
+@pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
+def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable, outputs: set[str]) -> None:
+    recorded = unheard(law, RICH)
+    told = diagnose(SPOT, "spot", recorded[:-1], recorded[-1:]).statement
+    print(json.dumps({k: told[k] for k in ("verdict", "statement", "located", "effects")}, indent=1))
+    print(told["fit"]["explained_share"], told["fit"]["explained_share_ci95"])
+    assert told["verdict"] == "unexplained"
+    assert outputs & {o["name"] for o in told["located"]["outputs"]}
+    assert told["located"]["depends_on"]
+
+
+# Sessions
+
+
+def recording(name: str, rows: int = 8) -> Recording:
+    return Recording(name, np.arange(rows) / 15, np.tile(np.arange(rows)[:, None], (1, 12)), np.zeros((rows, 6)))
+
+
+@pytest.mark.parametrize(
+    ("count", "heldout"), [(2, "1"), (3, "2"), (4, "3"), (5, "3"), (7, "3"), (8, "37"), (12, "37b")]
+)
+def test_every_fourth_session_is_held_out(count: int, heldout: str) -> None:
+    names = "0123456789ab"[:count]
+    training, held = split([recording(n) for n in names])
+    assert "".join(r.name for r in held) == heldout
+    assert [r.name for r in training] == [n for n in names if n not in heldout]
+
+
+def test_of_a_single_session_the_last_quarter_is_held_out() -> None:
+    (training,), (held,) = split([recording("a", 40)])
+    assert len(training.time_s) == 30
+    assert len(held.time_s) == 10
+    assert training.name != held.name
+    np.testing.assert_array_equal(np.concatenate([training.state, held.state])[:, 0], np.arange(40))
