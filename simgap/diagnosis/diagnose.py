@@ -77,7 +77,9 @@ def diagnose(
 def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:
     problem = found.problem
     box = black_box.train(problem.augmented, problem.chunks, raw_innovations(problem, found.base.v), rng)
-    models = {"as_is": Contestant(found.as_is.v), "refitted": Contestant(found.base.v)}
+    # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
+    as_is = found.as_is.v._replace(gain=found.base.v.gain)
+    models = {"as_is": Contestant(as_is), "refitted": Contestant(found.base.v)}
     if found.members:
         models["augmented"] = Contestant(found.fit.v)
     return {**models, "black_box": Contestant(found.base.v, box)}
