@@ -57,9 +57,11 @@ def test_drive_follows_its_equation(mass: float, damping: float, force: float, s
     v = final + (speed - final) * decay
     p = final * DRIVE.time_step + (speed - final) * (1 - decay) * mass / damping
     got = DRIVE.step(jnp.array([mass, damping]), jnp.array([0.0, speed]), jnp.array([force]))
-    # Implicit midpoint: relative errors of order (h d / m)^2 / 12 of the change.
-    error = (DRIVE.time_step * damping / mass) ** 2 / 6
-    np.testing.assert_allclose(got, (p, v), rtol=0, atol=1e-6 + error * abs(speed - v))
+    # Implicit midpoint, k = h d / m: the speed errs by k^2 / 12 of its change, the position, on the mean of the old and
+    # the new speed, by k / 12 of what the change moves it in a step; twice that is allowed.
+    k = DRIVE.time_step * damping / mass
+    allowed = abs(speed - v) * np.array([DRIVE.time_step * k, k**2]) / 6
+    np.testing.assert_array_less(np.abs(got - np.array([p, v])), 1e-6 + allowed)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Laws of the vocabulary, on a walking arm, a car and a one-axis drive: what holds of every effect at every site."""
 
 import string
+from dataclasses import dataclass
 from functools import cache, partial
 
 import jax
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax.flatten_util import ravel_pytree
 
-from examples.car import CAR
+from examples.car import CAR, Car
 from examples.drive import DRIVE
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE, resistance
@@ -41,6 +42,7 @@ PHI = {
     "drive": np.array([2.0, 4.0], np.float32),
 }
 ROW = Row(jnp.array(7.0), jnp.array(1.3))
+WRAPS = "suspected bug: angles are subtracted or mixed without regard to their wrap"
 robots = pytest.mark.parametrize("robot", ROBOTS)
 effects = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.key)
 seeds = st.integers(0, 2**31 - 1)
@@ -328,6 +330,39 @@ def test_the_world_frame_may_lie_elsewhere(robot: str, effect: Effect) -> None:
             commutes(robot, theta(robot, effect, start, free), angle, shift)
 
 
+@dataclass(frozen=True)
+class WrappedCar(Car):
+    """A car whose simulator keeps its yaw within (-pi, pi]."""
+
+    def step(self, params, state, command):
+        then = super().step(params, state, command)
+        return then.at[2].set(jnp.arctan2(jnp.sin(then[2]), jnp.cos(then[2])))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        pytest.param("sampling_interval.constant", marks=pytest.mark.xfail(reason=WRAPS, strict=True)),
+        pytest.param("sampling_interval.stamped", marks=pytest.mark.xfail(reason=WRAPS, strict=True)),
+        pytest.param("sensor_delay", marks=pytest.mark.xfail(reason=WRAPS, strict=True)),
+        "gain",
+        "viscous_drag",
+    ],
+)
+def test_a_simulator_may_wrap_its_angles(key: str) -> None:
+    (effect,) = (e for e in CATALOGUE if e.key == key)
+    constants = theta("car", effect, [0.5], [0])
+    state, command = jnp.array([1.0, 2.0, 3.13, 1.5]), jnp.array([1.5, 0.3])  # turns across pi
+    memory = at_rest("car")[0]._replace(states=jnp.tile(state, (SENSED_ROWS, 1)))
+    measured = []
+    for car in (CAR, WrappedCar()):
+        augmented = Augmented(car)
+        after, then = advance(augmented, PHI["car"], constants, scales("car"), memory, state, command, ROW)
+        measured.append(sense(augmented, constants, after, then))
+    apart = measured[0] - measured[1]
+    np.testing.assert_allclose(jnp.arctan2(jnp.sin(apart[2]), jnp.cos(apart[2])), 0, atol=1e-5)
+
+
 def test_a_slope_is_about_the_world() -> None:
     (slope,) = (e for e in CATALOGUE if e.id == "slope")
     with pytest.raises(AssertionError):
@@ -393,6 +428,15 @@ def test_physical_constants_by_hand(key: str, constants: list[float], expected: 
     (effect,) = (e for e in CATALOGUE if e.key == key)
     got = [c.physical(v, 0, scales("drive")) for c, v in zip(effect.constants, constants, strict=True)]
     assert got == pytest.approx([expected])  # the drive's step is 0.02 s
+
+
+@pytest.mark.xfail(reason="suspected bug: rows of bodies that do not move are skipped, sites are not", strict=True)
+def test_heights_are_those_of_their_own_body() -> None:
+    """A body whose recorded height never changes, and one that goes from 0.2 to 0.9 m."""
+    (effect,) = (e for e in CATALOGUE if e.id == "ground_contact")
+    heights = scales("spot")._replace(height=np.stack([np.full(21, 0.5), np.linspace(0.2, 0.9, 21)]))
+    got = [effect.constants[0].physical(0.1, site, heights) for site in (0, 1)]
+    assert got == pytest.approx([0.6, 0.3])
 
 
 def test_sensors_by_hand() -> None:
