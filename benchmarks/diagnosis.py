@@ -69,11 +69,11 @@ def _one_fit(training: list[Recording]) -> tuple[float, int]:
     problem = Problem(augmented, scales, cut(training, Spot().time_step), np.eye(12))
     begun = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(begun.e))
-    fit, _ = optimise(problem, evaluate(problem, begun.v, ()), 16)
+    fit, _ = optimise(problem, evaluate(problem, begun.v, ()))
     every = candidates(augmented, scales)
     start_s = time.perf_counter()
     for candidate in every[:3]:
-        optimise(problem, evaluate(problem, vary(fit.v, candidate, candidate.starts[0]), candidate.groups), 16)
+        optimise(problem, evaluate(problem, vary(fit.v, candidate, candidate.starts[0]), candidate.groups))
     return (time.perf_counter() - start_s) / 3, len(every)
 
 

@@ -47,9 +47,16 @@ def silent(layout: Layout) -> BlackBox:
 def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
     """What the black box sees; the state itself where the schema declares no bodies."""
     own = motion(layout, state)
-    parts = [own.velocity.ravel(), own.position.ravel()] if layout.bodies else [state]
+    headings = state[jnp.array(_headings(layout), int)]
+    turned = [jnp.sin(headings), jnp.cos(headings)]
+    parts = [own.velocity.ravel(), own.position.ravel(), *turned] if layout.bodies else [state]
     loose = jnp.array([i for i, f in enumerate(layout.schema.state) if layout.bodies and not f.body], int)
     return jnp.concatenate([*parts, state[loose], commands[:COMMANDS].ravel()])
+
+
+def _headings(layout: Layout) -> list[int]:
+    """State indices of the yaws that turn the bodies' frames."""
+    return list(dict.fromkeys(i for i in layout.heading if i is not None))
 
 
 def input_names(layout: Layout) -> list[str]:
@@ -61,6 +68,7 @@ def input_names(layout: Layout) -> list[str]:
     if not layout.bodies:
         names = [f.name for f in layout.schema.state]
     else:
+        names += [f"{q} of {layout.schema.state[i].name}" for q in ("sine", "cosine") for i in _headings(layout)]
         names += [f.name for f in layout.schema.state if not f.body]
     commands = layout.schema.command
     return names + [f.name + (f" {k} rows before" if k else "") for k in range(COMMANDS) for f in commands]

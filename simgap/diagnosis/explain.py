@@ -9,6 +9,7 @@ from jaxtyping import Float
 from simgap.diagnosis.candidates import candidates, changed, gated
 from simgap.diagnosis.fit import Fit, Problem, evaluate, optimise, start, whitening
 from simgap.diagnosis.innovations import Chunks, cut
+from simgap.diagnosis.left_over import LeftOver, left_over
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
@@ -26,8 +27,8 @@ class Explanation(NamedTuple):
     """The best explanation of the recordings.
 
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
-    members: the effects; scattered: those on the scatter. unseen: the held-out rows, gated as the effects are.
-    when: the time when one of the effects acts, if not throughout. rounds: what was tried.
+    members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the held-out rows, gated
+    as the effects are. when: the time when one of the effects acts, if not throughout. rounds: what was tried.
     """
 
     problem: Problem
@@ -37,6 +38,7 @@ class Explanation(NamedTuple):
     nuisance: Float[np.ndarray, "M n s"]
     members: tuple[Member, ...]
     scattered: list[Scatter]
+    left: LeftOver
     unseen: Chunks
     when: When | None
     rounds: list[Round]
@@ -88,7 +90,7 @@ def explain(
 
     say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
     searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
-    model, members, rounds = defend(searched, hypotheses, rng, say)
+    model, members, rounds = defend(searched, hypotheses, helps, rng, say)
     odd = sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.id in ODD_ROWS)
     model, members = outshone(model, members, odd, say)
     when = None if baseline else acts_when(model, members, say)
@@ -97,7 +99,7 @@ def explain(
         problem, unseen = problem._replace(chunks=chunks._replace(gate=gate(chunks, when))), seen_at(unseen, when)
         hypotheses = [*throughout, *(gated(c) for c in throughout)]
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
-        model, members, rounds = defend(searched, hypotheses, rng, say)
+        model, members, rounds = defend(searched, hypotheses, helps, rng, say)
         members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
     elif not baseline and not odd:
         # Odd rows look like pushes, one by one.
@@ -106,9 +108,11 @@ def explain(
     unseen = seen_at(unseen, when)
     say("looking at the scatter that is left")
     scattered = scatter(model.problem, model.fit, unseen)
-    base, _ = optimise(model.problem, evaluate(model.problem, searched.base.v, searched.base.groups), 8)
-    tried = [*searched.rounds, *rounds]
-    return Explanation(model.problem, as_is, base, model.fit, model.nuisance, members, scattered, unseen, when, tried)
+    base, _ = optimise(model.problem, evaluate(model.problem, searched.base.v, searched.base.groups))
+    return Explanation(
+        model.problem, as_is, base, model.fit, model.nuisance, members, scattered, left_over(model.problem, model.fit),
+        unseen, when, [*searched.rounds, *rounds],
+    )  # fmt: skip
 
 
 def _since(chunks: Chunks, baseline: int) -> np.ndarray:

@@ -6,10 +6,8 @@ first, so that nats add up; then each has a Student's t noise of its own.
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln
@@ -28,6 +26,10 @@ STEPS = (1.0, 0.5, 0.2, 0.05)
 """Shares of a Gauss-Newton step that are tried."""
 CONVERGED = 0.05
 """Gain [nats] below which iterations end."""
+HELD = 4
+"""Steps taken with the same derivatives by phi and gain."""
+RENEWALS = 6
+"""How often these are renewed at most."""
 PRIOR_PRECISION = 1.0
 """Of the simulator's parameters, in units of their ranges: a range is one standard deviation, hence hardly a prior."""
 
@@ -79,15 +81,27 @@ def weights(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s
 
 def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
     """Scale by expectation maximisation for every dof of `DOFS`, and the dof of greatest likelihood."""
-    d = DOFS[:, None, None]
-    squared = (e.T.astype(np.float64) ** 2)[None]
-    variance = np.maximum(np.median(squared, axis=-1, keepdims=True) * 2, 1e-18) * np.ones_like(d)
+    squared = np.maximum(e.T.astype(np.float32) ** 2, np.float32(1e-30))
+    start = np.maximum(np.median(squared, axis=-1) * 2, 1e-18)
+    found = [_fit_scale(squared, start, float(dof)) for dof in DOFS]
+    best = np.array([total for _, total in found]).argmax(0)
+    return Noise(np.sqrt(np.array([v for v, _ in found])[best, np.arange(e.shape[1])]), DOFS[best])
+
+
+def _fit_scale(
+    squared: Float[np.ndarray, "s n"], variance: Float[np.ndarray, " s"], dof: float
+) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, " s"]]:
+    """Squared scale of t noise with so many degrees of freedom, and the mean log-density with it."""
+    work = np.empty_like(squared)
     for _ in range(12):
-        variance = ((d + 1) / (d + squared / variance) * squared).mean(-1, keepdims=True) + 1e-18
-    density = gammaln((d + 1) / 2) - gammaln(d / 2) - 0.5 * np.log(d * np.pi * variance)
-    total = (density - (d + 1) / 2 * np.log1p(squared / variance / d)).mean(-1)
-    best = total.argmax(0)
-    return Noise(np.sqrt(variance[best, np.arange(e.shape[1]), 0]), DOFS[best])
+        np.divide(squared, variance[:, None].astype(np.float32), out=work)
+        work += np.float32(dof)
+        np.divide(squared, work, out=work)
+        variance = (dof + 1) * work.mean(-1, dtype=np.float64) + 1e-18
+    np.divide(squared, (dof * variance[:, None]).astype(np.float32), out=work)
+    tails = np.log1p(work, out=work).mean(-1, dtype=np.float64)
+    density = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * variance)
+    return variance, density - (dof + 1) / 2 * tails
 
 
 def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
@@ -97,7 +111,7 @@ def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
 
 def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: Noise | None = None) -> Fit:
     """Innovations, noise (fitted unless given) and log-likelihood at v."""
-    e = trials(problem, jax.tree.map(lambda a: a[None], v))[0]
+    e = trials(problem, [v])[0]
     if not np.isfinite(e).all():
         return Fit(v, groups, e, noise or Noise(np.ones(e.shape[1]), np.ones(e.shape[1])), -np.inf)
     noise = noise or fit_noise(e)
@@ -107,10 +121,8 @@ def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: N
 def start(problem: Problem) -> Variables:
     """Nominal parameters, equal trust in prediction and measurement, no effect."""
     phi = [p.nominal if p.nominal is not None else (p.low + p.high) / 2 for p in problem.augmented.simulator.parameters]
-    zero = jnp.zeros(len(problem.augmented.slots))
-    return Variables(
-        jnp.asarray(phi, jnp.float32), jnp.zeros(len(problem.augmented.simulator.schema.state)), zero, zero
-    )
+    zero, gain = (np.zeros(n, np.float32) for n in (len(problem.augmented.slots), len(problem.whiten)))
+    return Variables(np.array(phi, np.float32), gain, zero, zero)
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
@@ -132,24 +144,31 @@ def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Fl
     for k, group in enumerate(groups):
         (gated if group.gated else theta)[p + s + k, list(group.entries)] = 1.0
     precision = np.concatenate([np.full(p, PRIOR_PRECISION), np.full(s, 0.1), np.full(len(groups), 1e-8)])
-    return Variables(*(jnp.asarray(a) for a in (phi, gain, theta, gated))), precision
+    return Variables(phi, gain, theta, gated), precision
 
 
 def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s"]:
     """Derivatives of the decorrelated innovations by phi (in ranges) and gain."""
     free, _ = directions(problem, ())
-    return _in_batches(problem, free, lambda d: tangents(problem.augmented, problem.scales, v, d, problem.chunks))
+    along = lambda d: tangents(problem.augmented, problem.scales, v, d.phi, d.gain, problem.chunks)  # noqa: E731
+    return _in_batches(problem, free, along)
 
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
     """Innovations in the outputs' own units, zero in rows that do not count."""
-    several = jax.tree.map(lambda a: jnp.repeat(a[None], BATCHES[0], 0), v)
+    several = stacked([v] * BATCHES[0])
     return np.asarray(innovations_of(problem.augmented, problem.scales, several, problem.chunks)[0])
 
 
-def trials(problem: Problem, vs: Variables) -> Float[np.ndarray, "M n s"]:
+def stacked(vs: Sequence[Variables]) -> Variables:
+    """Several values of the variables as one, with a leading axis."""
+    return Variables(*(np.stack(arrays) for arrays in zip(*vs, strict=True)))
+
+
+def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:
     """Decorrelated innovations of several values of the variables."""
-    return _in_batches(problem, vs, lambda v: innovations_of(problem.augmented, problem.scales, v, problem.chunks))
+    of = lambda v: innovations_of(problem.augmented, problem.scales, v, problem.chunks)  # noqa: E731
+    return _in_batches(problem, stacked(vs), of)
 
 
 def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.ndarray:
@@ -159,7 +178,7 @@ def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.nda
     def batch(first: int) -> np.ndarray:
         # The last batch is filled up by repetition, so that it has one of the compiled sizes.
         index = np.minimum(np.arange(first, first + size), count - 1)
-        raw = counted(problem.chunks, function(jax.tree.map(lambda a: a[index], many)))
+        raw = counted(problem.chunks, function(Variables(*(a[index] for a in many))))
         return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
 
     return np.concatenate(side_by_side(batch, range(0, count, size)))
@@ -184,10 +203,10 @@ def constant_columns(problem: Problem, v: Variables, groups: Sequence[Group]) ->
         h = 0.02 * abs(value) + 1e-3
         up, down = min(value + h, _least(high, entries)), max(value - h, _most(low, entries))
         for target, to in ((plus, up), (minus, down)):
-            changed = base.at[jnp.array(entries)].set(to)
+            changed = replaced(base, entries, to)
             target.append(v._replace(gated=changed) if group.gated else v._replace(theta=changed))
         width.append(max(up - down, 1e-9))
-    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *plus, *minus))
+    e = trials(problem, [*plus, *minus])
     k = len(groups)
     return (e[:k] - e[k:]) / np.array(width, np.float32)[:, None, None]
 
@@ -203,15 +222,18 @@ def _most(low: np.ndarray, entries: list[int]) -> float:
 def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
     """v + delta along the free directions, constants kept within their bounds."""
     free, _ = directions(problem, groups)
-    d = jnp.asarray(delta, jnp.float32)
-    moved = Variables(*(a + d @ b for a, b in zip(v, free, strict=True)))
-    low, high = (jnp.asarray(b, jnp.float32) for b in problem.augmented.bounds)
+    moved = Variables(*(a + delta.astype(np.float32) @ b for a, b in zip(v, free, strict=True)))
+    low, high = problem.augmented.bounds
     own = [i for g in groups if not g.gated for i in g.entries]
-    theta = moved.theta
-    if own:
-        index = jnp.array(own)
-        theta = theta.at[index].set(jnp.clip(theta[index], low[index], high[index]))
-    return moved._replace(theta=theta, gain=jnp.clip(moved.gain, -6, 6))
+    theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
+    return moved._replace(theta=theta, gain=np.clip(moved.gain, -6, 6))
+
+
+def replaced(values: Float[np.ndarray, " P"], entries: Sequence[int], by: Any) -> Float[np.ndarray, " P"]:
+    """A copy with some entries replaced."""
+    values = np.array(values, np.float32)
+    values[list(entries)] = by
+    return values
 
 
 def _prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np.ndarray:
@@ -238,7 +260,7 @@ def gauss_newton(
     hessian += 1e-6 * np.diag(np.diag(hessian)) + 1e-9 * np.eye(len(hessian))
     delta = -np.linalg.solve(hessian, gradient)
     moved = [_moved(problem, fit.v, fit.groups, share * delta) for share in STEPS]
-    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *moved))
+    e = trials(problem, moved)
 
     def value(e: np.ndarray, v: Variables) -> float:
         if not np.isfinite(e).all():
@@ -267,10 +289,11 @@ def refine(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], ite
     return fit
 
 
-def optimise(problem: Problem, fit: Fit, iterations: int) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
-    """Gauss-Newton with all derivatives renewed; returns the derivatives by phi and gain at the end as well.
+def optimise(problem: Problem, fit: Fit) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
+    """Gauss-Newton to its end; returns the derivatives by phi and gain there as well.
 
-    Raises DivergenceError when the start leaves the finite numbers.
+    The derivatives by phi and gain cost as much as ten steps with them: they are renewed only when they have led as far
+    as they can. Raises DivergenceError when the start leaves the finite numbers.
     """
     if not np.isfinite(fit.loglik):
         raise DivergenceError(
@@ -278,10 +301,8 @@ def optimise(problem: Problem, fit: Fit, iterations: int) -> tuple[Fit, Float[np
             "Check its units and its time step."
         )
     nuisance = nuisance_columns(problem, fit.v)
-    for _ in range(iterations):
-        _, precision = directions(problem, fit.groups)
-        columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
-        improved = gauss_newton(problem, fit, columns, precision)
+    for _ in range(RENEWALS):
+        improved = refine(problem, fit, nuisance, HELD)
         gain = improved.loglik - fit.loglik
         fit = improved
         if gain < CONVERGED:

@@ -34,7 +34,7 @@ def forecast(
     augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
 ) -> Float[Array, "W h s"]:
     """Predicted measurements of the rows after each piece's run-in, never corrected again; `box` adds to every step."""
-    gain = jax.nn.sigmoid(v.gain)
+    phi, gain = jnp.asarray(v.phi), jax.nn.sigmoid(v.gain)
 
     def one(chunk: Chunks) -> Float[Array, "h s"]:
         first = unsense(augmented, v.theta, chunk.state[0])
@@ -46,7 +46,7 @@ def forecast(
             theta = v.theta + gate * v.gated
             sent = jnp.concatenate([u[None], memory.commands])
             added = correct(augmented.layout, box, x, sent)
-            memory, x = advance(augmented, v.phi, theta, scales, memory, x, u, Row(time_s, interval))
+            memory, x = advance(augmented, phi, theta, scales, memory, x, u, Row(time_s, interval))
             x = x + added
             seen = sense(augmented, theta, memory, x)
             return (memory, x + trust * gain * wrap(augmented, y_next - seen)), seen

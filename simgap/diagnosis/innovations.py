@@ -53,10 +53,10 @@ class Chunks(NamedTuple):
 class Variables(NamedTuple):
     """All that can be fitted: simulator parameters phi, logit of the gain K, effects' constants, those where gated."""
 
-    phi: Float[Array, " p"]
-    gain: Float[Array, " s"]
-    theta: Float[Array, " P"]
-    gated: Float[Array, " P"]
+    phi: Float[np.ndarray, " p"]
+    gain: Float[np.ndarray, " s"]
+    theta: Float[np.ndarray, " P"]
+    gated: Float[np.ndarray, " P"]
 
 
 def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
@@ -113,7 +113,7 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks) ->
         memory, x = carry
         y_next, u, time_s, interval, gate = now
         theta = v.theta + gate * v.gated
-        memory, x = advance(augmented, v.phi, theta, scales, memory, x, u, Row(time_s, interval))
+        memory, x = advance(augmented, jnp.asarray(v.phi), theta, scales, memory, x, u, Row(time_s, interval))
         e = wrap(augmented, y_next - sense(augmented, theta, memory, x))
         return (memory, x + gain * e), e
 
@@ -134,8 +134,17 @@ def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: C
 
 @partial(jax.jit, static_argnames="augmented")
 def tangents(
-    augmented: Augmented, scales: Scales, v: Variables, directions: Variables, chunks: Chunks
+    augmented: Augmented,
+    scales: Scales,
+    v: Variables,
+    phi: Float[Array, "M p"],
+    gain: Float[Array, "M s"],
+    chunks: Chunks,
 ) -> Float[Array, "M C T-1 s"]:
-    """Derivatives of the innovations along M directions in the variables."""
-    along = lambda d: jax.jvp(lambda v: _all(augmented, scales, v, chunks), (v,), (d,))[1]  # noqa: E731
-    return jax.vmap(along)(directions)
+    """Derivatives of the innovations along M directions in phi and gain."""
+
+    def along(phi: Float[Array, " p"], gain: Float[Array, " s"]) -> Float[Array, "C T-1 s"]:
+        at = lambda p, g: _all(augmented, scales, v._replace(phi=p, gain=g), chunks)  # noqa: E731
+        return jax.jvp(at, (v.phi, v.gain), (phi, gain))[1]
+
+    return jax.vmap(along)(phi, gain)

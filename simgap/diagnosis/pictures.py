@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from simgap.diagnosis.candidates import Candidate, unit_of
@@ -72,7 +71,7 @@ def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
     low, high = (float(b[group.entries[0]]) for b in problem.augmented.bounds)
     span = np.linspace(max(0.4 * c[0], low) if c[0] > 0 else max(1.6 * c[0], low),
                        min(1.6 * c[0], high) if c[0] > 0 else min(0.4 * c[0], high), PROFILE)  # fmt: skip
-    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *[vary(fit.v, candidate, [x, *c[1:]]) for x in span]))
+    e = trials(problem, [vary(fit.v, candidate, [x, *c[1:]]) for x in span])
     loglik = np.array([log_density(one, fit.noise).sum() for one in e])
     x = [float(constant.physical(float(v), candidate.sites[0], problem.scales)) for v in span]
     unit = unit_of(problem.augmented, candidate, constant)

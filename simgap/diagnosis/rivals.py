@@ -1,6 +1,6 @@
 """Every effect of a set against what could stand in its place: who keeps it, and how sure that is."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
 from simgap.diagnosis.screen import blocks
-from simgap.diagnosis.search import LEAST_SHARE, Found, Model, Round, Say, Tried, least, one_more, without
+from simgap.diagnosis.search import LEAST_SHARE, Found, Helps, Model, Round, Say, Tried, least, one_more, without
 from simgap.diagnosis.when import When
 
 
@@ -29,9 +29,12 @@ class Member(NamedTuple):
 
 
 def defend(
-    found: Found, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say
+    found: Found, candidates: Sequence[Candidate], helps: Helps, rng: np.random.Generator, say: Say
 ) -> tuple[Model, tuple[Member, ...], list[Round]]:
-    """Let every member defend its place, given the others: a better rival takes it, one that is not needed goes."""
+    """Let every member defend its place, given the others: a better rival takes it, one that is not needed goes.
+
+    A rival is better only where held-out sessions agree, as in `search`.
+    """
     model, base = found.model, found.base
     if len(found.chosen) == 1:
         return model, (member(model.problem, found.rounds[0].tried, base),), []
@@ -40,15 +43,17 @@ def defend(
         say(f"{candidate.name} against its rivals, given the other effects")
         problem, fit, _ = model
         rest = without(fit, candidate.groups)
-        reduced = Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups), 8))
+        reduced = Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups)))
         tried = one_more(reduced, candidates, rng, say)
         rounds.append(tried)
         own = Tried(candidate, fit, fit.loglik - reduced.fit.loglik)
         rivals = [t for t in tried.tried if t.candidate.name != candidate.name]
-        if rivals and rivals[0].gain > own.gain + 1 and rivals[0].candidate.effect.id != candidate.effect.id:
-            say(f"{rivals[0].candidate.name} replaces {candidate.name} ({rivals[0].gain - own.gain:+.1f} nats)")
-            model = Model(problem, *optimise(problem, rivals[0].fit, 8))
-            own = rivals.pop(0)
+        better = _better(reduced, rivals, own, helps)
+        if better is not None:
+            say(f"{better.candidate.name} replaces {candidate.name} ({better.gain - own.gain:+.1f} nats)")
+            model = Model(problem, *optimise(problem, better.fit))
+            rivals.remove(better)
+            own = better
         if own.gain < max(tried.screening.threshold / 2, least(problem, base, reduced.fit, model.fit)):
             say(f"{candidate.name} is not needed beside the others")
             model = reduced
@@ -57,13 +62,19 @@ def defend(
     return model, tuple(members), rounds
 
 
+def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps) -> Tried | None:
+    """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
+    ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
+    return next((t for t in ahead if helps(reduced.problem, reduced.fit, t.fit)), None)
+
+
 def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:
     """Without the members that gain less than their share of what odd rows do: those rows would make them up."""
     weak = [m for m in members if m.gain < LEAST_SHARE * gain]
     for m in weak:
         say(f"{m.candidate.name} is too weak a sign beside rows that are odd")
         rest = without(model.fit, m.candidate.groups)
-        model = Model(model.problem, *optimise(model.problem, evaluate(model.problem, rest.v, rest.groups), 8))
+        model = Model(model.problem, *optimise(model.problem, evaluate(model.problem, rest.v, rest.groups)))
     return model, tuple(m for m in members if m not in weak)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc, logsumexp
 
-from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, fit_noise, log_density, trials
+from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, fit_noise, log_density, replaced, trials
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.when import rows_of
@@ -80,8 +80,8 @@ def _sample(problem: Problem, fit: Fit) -> _Sample:
     rate = np.where(integrates >= 0, state[:, np.maximum(integrates, 0)], 0.0) * scales.interval
     keys = [effect.key for effect in CATALOGUE]
     delays = [problem.augmented.index[Slot(keys.index("delay"), 0, s)] for s in range(len(layout.schema.command))]
-    later = [fit.v._replace(theta=fit.v.theta.at[jnp.array(delays)].add(float(k))) for k in HELD]
-    held = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *later))
+    later = [fit.v._replace(theta=replaced(fit.v.theta, delays, fit.v.theta[delays] + k)) for k in HELD]
+    held = trials(problem, later)
     e = evaluate(problem, fit.v, fit.groups, fit.noise).e
     usual = np.quantile(moving, 0.95) if len(moving) else 1.0
     return _Sample(e, moving / max(usual, 1e-9), rate @ problem.whiten.T, list(held), blocks(counts))
@@ -167,14 +167,16 @@ def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Samp
     mixture = _mix(several(training), noise)
     share = float(mixture.shares[1:].sum())
     longer = float(mixture.shares[1:] @ STALLS / max(share, 1e-9))
-    length = problem.scales.time_step * (1 + longer)
+    layout = problem.augmented.layout
+    # Told in the time that the rows span by the positions' own advance, which need not be the nominal step.
+    length = float(np.median(problem.scales.interval[layout.integrates >= 0])) * (1 + longer)
     sd = np.sqrt(share * (1 - share) / len(training.e))
     constants = [
         {"name": "share of stalls", "value": share, "unit": "-", "ci95": [max(share - 2 * sd, 0.0), share + 2 * sd]},
         {"name": "length of stalls", "value": length, "unit": "s", "ci95": [length * 0.8, length * 1.2]},
     ]
     names = problem.augmented.simulator.schema.state
-    positions = tuple(f.name for f, v in zip(names, problem.augmented.layout.integrates, strict=True) if v >= 0)
+    positions = tuple(f.name for f, v in zip(names, layout.integrates, strict=True) if v >= 0)
     return _claim(
         "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), constants=constants,
         outputs=positions, statement=f"Rows are not evenly spaced in time: {share:.0%} of them hold a stall and span "
@@ -247,12 +249,18 @@ def _periodogram(problem: Problem, fit: Fit) -> tuple[Float[np.ndarray, "f s"], 
 
 
 def _neighbours(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
-    """Level around every frequency: the median at 3 to 8 bins' distance, per segment."""
-    near = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])
-    index = np.arange(len(power))[:, None] + near
-    index = np.where((index < 1) | (index >= len(power)), -1, index)
-    values = np.where(index >= 0, power[np.maximum(index, 0)], np.nan)
-    return np.nanmedian(values, axis=1)
+    """Level around every frequency: the greater of the medians at 3 to 8 bins' distance below and above.
+
+    Of a spectrum that falls steeply, as slow drifts have it, no part is a peak.
+    """
+    away = np.arange(3, 9)
+    index = np.arange(len(power))[:, None, None] + np.stack([-away, away])
+    inside = (index >= 1) & (index < len(power))
+    values = np.where(inside, power[np.clip(index, 0, len(power) - 1)], np.nan)
+    # Close to an end of the spectrum there is one side only; below, its lowest bins.
+    values[:, 0, 0] = np.where(inside[:, 0].any(1), values[:, 0, 0], power[1])
+    values[:, 1, 0] = np.where(inside[:, 1].any(1), values[:, 1, 0], power[-1])
+    return np.nanmedian(values, axis=2).max(1)
 
 
 def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, float, float] | None:

@@ -8,13 +8,11 @@ gain, and a bootstrap of the current model's scores says how much the best of al
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.candidates import Candidate
-from simgap.diagnosis.fit import BATCHES, Fit, Problem, side_by_side, trials, weights
+from simgap.diagnosis.fit import BATCHES, Fit, Problem, replaced, side_by_side, trials, weights
 from simgap.diagnosis.innovations import Variables
 
 BLOCK = 20
@@ -49,11 +47,10 @@ def vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Vari
     """v with the candidate's constants set."""
     theta, gated = v.theta, v.gated
     for group, value in zip(candidate.groups, constants, strict=True):
-        index = jnp.array(group.entries)
         if group.gated:
-            gated = gated.at[index].set(value)
+            gated = replaced(gated, group.entries, value)
         else:
-            theta = theta.at[index].set(value)
+            theta = replaced(theta, group.entries, value)
     return v._replace(theta=theta, gated=gated)
 
 
@@ -92,7 +89,7 @@ def screen(
     def batch(first: int) -> list[tuple[Screened, np.ndarray]]:
         some = directions[first : first + BATCHES[-1]]
         vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
-        change = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *vs)) - fit.e
+        change = trials(problem, vs) - fit.e
         d = change.reshape(len(some), -1) * root
         d = _beyond_twin(problem, fit, some, d, root)
         d = d - (d @ basis) @ basis.T
@@ -119,7 +116,7 @@ def _beyond_twin(
     if not any(candidate.twin for candidate, _, _ in some):
         return d
     twins = [vary(fit.v, candidate._replace(groups=candidate.twin), values) for candidate, values, _ in some]
-    change = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *twins)) - fit.e
+    change = trials(problem, twins) - fit.e
     t = change.reshape(len(some), -1) * root
     power = (t * t).sum(1, keepdims=True)
     return d - t * (d * t).sum(1, keepdims=True) / np.maximum(power, NOTHING)

@@ -3,13 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import (
+    HELD,
     Fit,
     Group,
     Problem,
@@ -18,6 +17,7 @@ from simgap.diagnosis.fit import (
     log_density,
     optimise,
     refine,
+    replaced,
     side_by_side,
     trials,
     whitening,
@@ -36,10 +36,15 @@ MOST_SITES = 6
 FITTED = 10
 """Hypotheses that get a first fit in a round."""
 FINALISTS = 4
-"""Those whose fit is carried to its end."""
+"""Those whose fit is carried on,"""
+CONTENDER = 0.5
+"""and to its end where it gains this share of what the best gains."""
 
 Say = Callable[[str], None]
 """`say(line)`: what is being tried."""
+
+Helps = Callable[[Problem, Fit, Fit], bool]
+"""`helps(problem, without, with_it)`: whether sessions that take no part agree that an effect is there."""
 
 
 class Model(NamedTuple):
@@ -75,11 +80,10 @@ class Found(NamedTuple):
     rounds: list[Round]
 
 
-def refit(problem: Problem, fit: Fit, iterations: int = 8) -> Model:
-    """Fit all that is free, decorrelate the innovations anew, and fit again."""
-    fit, _ = optimise(problem, fit, iterations)
+def decorrelated(problem: Problem, fit: Fit) -> Model:
+    """The model whose innovations are decorrelated anew, by what the fit leaves over, and fitted again."""
     problem = problem._replace(whiten=whitening(fit.e @ np.linalg.inv(problem.whiten).T))
-    return Model(problem, *optimise(problem, evaluate(problem, fit.v, fit.groups), iterations))
+    return Model(problem, *optimise(problem, evaluate(problem, fit.v, fit.groups)))
 
 
 def absorbing(model: Model) -> Float[np.ndarray, "M n s"]:
@@ -92,11 +96,10 @@ def without(fit: Fit, groups: Sequence[Group]) -> Fit:
     """The fit with some constants at zero and no longer free; nothing is fitted anew."""
     theta, gated = fit.v.theta, fit.v.gated
     for group in groups:
-        index = np.array(group.entries)
         if group.gated:
-            gated = gated.at[index].set(0.0)
+            gated = replaced(gated, group.entries, 0.0)
         else:
-            theta = theta.at[index].set(0.0)
+            theta = replaced(theta, group.entries, 0.0)
     rest = tuple(g for g in fit.groups if g not in groups)
     return fit._replace(v=fit.v._replace(theta=theta, gated=gated), groups=rest)
 
@@ -120,12 +123,14 @@ def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Gener
     tried = side_by_side(lambda s: _try(problem, fit, nuisance, s, 3), _promising(screening.found))
     tried.sort(key=lambda t: -t.gain)
 
-    def carry_on(t: Tried) -> Tried:
-        # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
-        done, _ = optimise(problem, refine(problem, t.fit, nuisance, 4), 6)
+    def further(t: Tried, fit_further: Callable[[Fit], Fit]) -> Tried:
+        done = fit_further(t.fit)
         return t._replace(fit=done, gain=done.loglik - fit.loglik)
 
-    finalists = side_by_side(carry_on, tried[:FINALISTS])
+    finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, nuisance, HELD)), tried[:FINALISTS])
+    # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
+    far = CONTENDER * max(t.gain for t in finalists)
+    finalists = side_by_side(lambda t: t if t.gain < far else further(t, lambda f: optimise(problem, f)[0]), finalists)
     tried = sorted([*finalists, *tried[FINALISTS:]], key=lambda t: -t.gain)
     say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
@@ -160,7 +165,7 @@ def _try(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], s: Sc
 def _summit(problem: Problem, fit: Fit, s: Screened) -> Variables:
     """The best of many constants near the start, where derivatives lead nowhere."""
     near = [vary(fit.v, s.candidate, [c * share for c in s.start]) for share in np.linspace(0.9, 1.1, 36)]
-    e = trials(problem, jax.tree.map(lambda *a: jnp.stack(a), *near))
+    e = trials(problem, near)
     return near[int(np.argmax([log_density(one, fit.noise).sum() for one in e]))]
 
 
@@ -168,15 +173,12 @@ def search(
     problem: Problem,
     fit: Fit,
     candidates: Sequence[Candidate],
-    helps: Callable[[Problem, Fit, Fit], bool],
+    helps: Helps,
     rng: np.random.Generator,
     say: Say,
 ) -> Found:
-    """Add effects one by one, each the best of those that are more than noise and that held-out sessions agree to.
-
-    `helps(problem, without, with_it)`: whether sessions that take no part agree.
-    """
-    model = refit(problem, fit)
+    """Add effects one by one, each the best of those that are more than noise and that held-out sessions agree to."""
+    model = decorrelated(problem, optimise(problem, fit)[0])
     base, chosen, rounds = model.fit, [], []
     while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
         found = one_more(model, candidates, rng, say)
@@ -193,5 +195,5 @@ def search(
         rounds.append(found._replace(tried=tried, accepted=best.candidate.name))
         chosen.append(best.candidate)
         say(f"added {best.candidate.name} ({best.gain:+.1f} nats)")
-        model = refit(model.problem, best.fit)
+        model = decorrelated(model.problem, best.fit)
     return Found(base, model, chosen, rounds)

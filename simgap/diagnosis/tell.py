@@ -7,10 +7,11 @@ import numpy as np
 
 from simgap.diagnosis import black_box, confidence, judge, locate, pictures, words
 from simgap.diagnosis.experiment import Experiment
-from simgap.diagnosis.explain import Explanation, gain
+from simgap.diagnosis.explain import ODD_ROWS, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.judge import Contestant, Judged
+from simgap.diagnosis.left_over import left_over, named_share
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter import Scatter
 from simgap.effects import CATALOGUE
@@ -19,7 +20,9 @@ from simgap.types import Recording
 SEEN = 8.0
 """Nats that an effect of usual strength must be able to gain for the recordings to show it."""
 EXPLAINED = 0.5
-"""Share of what a black box removes that named physics must remove for the vocabulary to be the answer."""
+"""Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
+PERIODIC_OR_ODD = ("gait_oscillation", *ODD_ROWS)
+"""Effects on the scatter that account for innovations that can be foretold, or do not bring such about."""
 CREDIBLE = 0.95
 MISMATCH = ("missing_physics", "unexplained")
 """Verdicts with something to locate."""
@@ -58,7 +61,11 @@ def statement(
     layout = found.problem.augmented.layout
     share, verdict = _verdict(found, judged, rng)
     sd = confidence.spread(found.problem, found.fit, found.nuisance)
-    effects = [_effect(found, m, sd, sessions.fitted) for m in found.members]
+    members = [(_named(found, m), _effect(found, m, sd, sessions.fitted)) for m in found.members]
+    effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
+    doubtful = [e for sure, e in members if not sure]
+    if verdict == "unexplained":
+        effects, doubtful = [], [*effects, *doubtful]
     told = {
         "schema": 1, "simulator": name, "verdict": verdict,
         "recordings": {
@@ -69,7 +76,7 @@ def statement(
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
         "located": _located(found, sessions, contestants, verdict, rng),
-        "effects": [*effects, *(_scattered(s) for s in found.scattered)],
+        "effects": effects, "resembles": doubtful, "left_over": _left(found),
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
@@ -108,9 +115,11 @@ def _verdict(
         return None, "missing_physics" if found.members or found.scattered else "nothing"
     refitted = judged["refitted"]
     share = judge.explained_share(refitted, judged.get("augmented", refitted), judged["black_box"], rng)
-    if found.members:
-        return share, "unexplained" if share is not None and share["ci95"][1] < EXPLAINED else "missing_physics"
-    if share is not None:
+    named = any(_named(found, m) for m in found.members)
+    if named and not (share is not None and share["ci95"][1] < EXPLAINED):
+        return share, "missing_physics"
+    accounted = any(s.id in PERIODIC_OR_ODD for s in found.scattered)
+    if found.members or share is not None or (found.left.nats.any() and not accounted):
         return share, "unexplained"
     if found.scattered:
         return share, "missing_physics"
@@ -118,16 +127,38 @@ def _verdict(
     return share, "parameters_only" if moved else "nothing"
 
 
+def _named(found: Explanation, member: Member) -> bool:
+    """Whether an effect explains its outputs, rather than being the nearest word for something else."""
+    return named_share(found.fit, member.without, found.left) >= EXPLAINED
+
+
+def _left(found: Explanation) -> dict[str, Any]:
+    """What can still be foretold of the innovations, by output."""
+    fields = found.problem.augmented.simulator.schema.state
+    told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, found.left.share, strict=True) if p]
+    return {"nats": float(found.left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
+
+
 def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str, chunks: Chunks) -> locate.Excess:
-    """What the best explanation gains over the refitted simulator: named physics, or else the black box."""
+    """What the best explanation gains over the refitted simulator: named physics, or else what names nothing.
+
+    Of the latter, the better one: the black box, or the effects together with what can be foretold of what they leave.
+    """
     problem = found.problem._replace(chunks=chunks)
-    base = raw_innovations(problem, found.base.v)
-    if found.members and verdict == "missing_physics":
-        return locate.excess(problem.augmented, chunks, base, raw_innovations(problem, found.fit.v))
+    base, fitted = (raw_innovations(problem, f.v) for f in (found.base, found.fit))
+    if verdict == "missing_physics":
+        return locate.excess(problem.augmented, chunks, base, fitted)
     box = contestants["black_box"].box
     assert box is not None  # the black box is one
     predicted = np.asarray(black_box.predicted(problem.augmented, box, chunks))
-    return locate.excess(problem.augmented, chunks, base, base - predicted)
+    counts = np.asarray(chunks.counts)
+    left = left_over(problem, evaluate(problem, found.fit.v, (), found.fit.noise))
+    foretold = np.zeros_like(fitted)
+    foretold[counts] = left.foretold @ np.linalg.inv(problem.whiten).T
+    nameless = (
+        locate.excess(problem.augmented, chunks, base, better) for better in (base - predicted, fitted - foretold)
+    )
+    return max(nameless, key=lambda e: e.nats.sum())
 
 
 def _located(
@@ -141,17 +172,21 @@ def _located(
     if verdict not in MISMATCH:
         return {"outputs": [], "regimes": [], "intervals": [], "depends_on": []}
     where = _excess(found, contestants, verdict, problem.chunks)
-    depends: list[tuple[str, float]] = []
-    box = contestants["black_box"].box
-    if verdict == "unexplained" and box is not None:
-        raw = raw_innovations(problem, found.base.v)
-        depends = black_box.dependence(problem.augmented, box, problem.chunks, raw, rng)[:3]
     return {
         "outputs": locate.outputs(problem.augmented, where),
         "regimes": locate.regimes(where),
         "intervals": _intervals(found, where, sessions.fitted),
-        "depends_on": [{"input": i, "share": s} for i, s in depends],
+        "depends_on": _depends_on(found, contestants["black_box"], rng) if verdict == "unexplained" else [],
     }
+
+
+def _depends_on(found: Explanation, contestant: Contestant, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """What the nameless depends on: the black box's inputs, and its own past, each with its share."""
+    box, problem = contestant.box, found.problem
+    assert box is not None  # the black box is one
+    depends = black_box.dependence(problem.augmented, box, problem.chunks, raw_innovations(problem, found.base.v), rng)
+    own = [("its own past", float(found.left.share.max()))] if found.left.share.any() else []
+    return [{"input": i, "share": s} for i, s in sorted([*own, *depends[:3]], key=lambda d: -d[1])]
 
 
 def _scattered(s: Scatter) -> dict[str, Any]:

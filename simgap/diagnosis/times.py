@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 from simgap.diagnosis.candidates import Candidate, gated
@@ -10,10 +9,23 @@ from simgap.diagnosis.fit import Fit, evaluate, optimise, refine, trials
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.screen import vary
 from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, without
-from simgap.diagnosis.when import LASTING, PUSH, When, gate, onset, rows_of, scores, stretch, stretch_by_chance
+from simgap.diagnosis.when import (
+    LASTING,
+    PUSH,
+    When,
+    elsewhere,
+    gate,
+    onset,
+    rows_of,
+    scores,
+    stretch,
+    stretch_by_chance,
+)
 
 OWED = 8.0
 """Gain [nats] that an effect's beginning and end owe: two numbers, the best of some hundreds tried."""
+EXCEPTION = 3.0
+"""Times the gain of the best other stretch that a push must gain."""
 
 
 def acts_when(model: Model, members: tuple[Member, ...], say: Say) -> When | None:
@@ -44,7 +56,7 @@ def pushed(
     rows = rows_of(problem.chunks)
     tried: list[tuple[float, Candidate, When, np.ndarray, np.ndarray]] = []
     for event in events:
-        with_it = trials(problem, jax.tree.map(lambda a: a[None], vary(fit.v, event, event.starts[0])))[0]
+        with_it = trials(problem, [vary(fit.v, event, event.starts[0])])[0]
         score, power = scores(fit, fit.e, with_it)
         when, gain = stretch(rows, score, power, PUSH)
         tried.append((gain, event, when, score, power))
@@ -54,9 +66,13 @@ def pushed(
     chance = stretch_by_chance(rows, score, power, LEVEL / len(events), rng)
     if gain < chance + LEAST_SHARE * sum(m.gain for m in members):
         return model, members
+    # A push is an exception: what recurs is something else.
+    again = max(stretch(rows, *elsewhere(rows, when, score, power), PUSH)[1] for *_, score, power in tried)
+    if gain < EXCEPTION * again:
+        return model, members
     at, candidate = _open(model, when).problem, gated(event)
     begun = evaluate(at, vary(fit.v, candidate, [0.0]), (*fit.groups, *candidate.groups), fit.noise)
-    after = Model(at, *optimise(at, begun, 8))
+    after = Model(at, *optimise(at, begun))
     more = after.fit.loglik - fit.loglik
     say(f"{event.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({more:+.1f} nats)")
     return after, (*members, Member(candidate, more, {event.effect.id: 1.0}, None, fit, when))

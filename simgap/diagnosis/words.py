@@ -65,8 +65,13 @@ def statement(told: dict[str, Any]) -> str:
         depends = ", ".join(d["input"] for d in told["located"]["depends_on"])
         lines += f" It shows in {where}." if where else ""
         lines += f" It depends most on {depends}." if depends else ""
-        if told["effects"]:
-            lines += " Part of it looks like: " + " ".join(e["statement"] for e in told["effects"])
+    if told["resembles"]:
+        lines += " There is something that looks like this, and is more than this: "
+        lines += " ".join(e["statement"] for e in told["resembles"])
+    if told["left_over"]["outputs"] and told["verdict"] == "missing_physics":
+        lines += " More is missing: " + ", ".join(
+            f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]
+        ) + " can be foretold from the rows before."  # fmt: skip
     if told["located"]["regimes"] and told["verdict"] == "missing_physics":
         rule = told["located"]["regimes"][0]
         lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."

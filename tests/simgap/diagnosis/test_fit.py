@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from planted import PHI, SPOT, theta
@@ -23,14 +22,15 @@ from simgap.diagnosis.fit import (
     log_density,
     nuisance_columns,
     optimise,
+    refine,
     start,
     trials,
     weights,
     whitening,
 )
-from simgap.diagnosis.innovations import cut
+from simgap.diagnosis.innovations import Variables, cut
 from simgap.diagnosis.measure import measure
-from simgap.diagnosis.search import Model, refit
+from simgap.diagnosis.search import Model, decorrelated
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.types import DivergenceError, Parameter, Recording, Schema
@@ -40,7 +40,7 @@ def fitted(training: list[Recording], groups: tuple[Group, ...] = ()) -> Model:
     of = problem(training)
     begun = evaluate(of, start(of), groups)
     of = of._replace(whiten=whitening(begun.e))
-    return refit(of, evaluate(of, begun.v, groups))
+    return decorrelated(of, optimise(of, evaluate(of, begun.v, groups))[0])
 
 
 def group(key: str, sites: tuple[int, ...]) -> Group:
@@ -94,9 +94,10 @@ def test_every_step_of_the_fit_is_an_improvement() -> None:
     training, _ = sessions({}, seed=7)
     of = problem(training)
     of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
-    logliks = [evaluate(of, start(of), ()).loglik]
-    for iterations in (1, 3):
-        logliks.append(optimise(of, evaluate(of, start(of), ()), iterations)[0].loglik)
+    begun = evaluate(of, start(of), ())
+    nuisance = nuisance_columns(of, begun.v)
+    logliks = [begun.loglik, *(refine(of, begun, nuisance, steps).loglik for steps in (1, 3))]
+    logliks.append(optimise(of, begun)[0].loglik)
     assert logliks == sorted(logliks)
     assert logliks[-1] > logliks[0] + 50
 
@@ -108,19 +109,17 @@ def test_columns_are_derivatives_of_the_decorrelated_innovations() -> None:
     training, _ = sessions({}, seed=8)
     of = problem(training)
     of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
-    v = start(of)._replace(theta=jnp.asarray(theta(acting("gain", (0.1,), (0,)))))
+    v = start(of)._replace(theta=theta(acting("gain", (0.1,), (0,))))
     groups = (group("gain", (0,)), group("delay", (3, 4, 5)))
     columns = np.concatenate([nuisance_columns(of, v), constant_columns(of, v, groups)])
     free, precision = directions(of, groups)
     assert len(columns) == len(precision) == 24 + 12 + 2
-    e = trials(of, v._replace(**{k: getattr(v, k)[None] for k in v._fields}))[0]
+    (e,) = trials(of, [v])
     rng = np.random.default_rng(0)
     along = rng.normal(size=len(columns)) * 1e-3
     along[-1] = abs(along[-1])  # a dead time is at its bound
-    moved = v._replace(
-        **{k: (getattr(v, k) + jnp.asarray(along, jnp.float32) @ getattr(free, k))[None] for k in v._fields}
-    )
-    change, expected = trials(of, moved)[0] - e, np.tensordot(along, columns, 1)
+    moved = Variables(*(a + along.astype(np.float32) @ d for a, d in zip(v, free, strict=True)))
+    change, expected = trials(of, [moved])[0] - e, np.tensordot(along, columns, 1)
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(change)
 
 
@@ -200,7 +199,7 @@ def test_a_diverging_simulator_is_told() -> None:
     augmented, recorded = Augmented(Explosive()), drives()
     of = Problem(augmented, measure(augmented, recorded), cut(recorded, 0.02), np.eye(2))
     with pytest.raises(DivergenceError, match="finite"):
-        optimise(of, evaluate(of, start(of), ()), 2)
+        optimise(of, evaluate(of, start(of), ()))
 
 
 def test_a_diverging_simulator_is_told_by_the_diagnosis() -> None:

@@ -1,0 +1,79 @@
+"""What a model leaves over: how far its innovations can be foretold from those before them.
+
+A model that lacks nothing has white innovations, whatever the noise: none says anything of the next. What can be
+foretold is physics without a name, however it comes about, and the measure of what the names explain.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from simgap.diagnosis.fit import Fit, Problem, log_density
+from simgap.diagnosis.screen import blocks
+from simgap.diagnosis.when import rows_of
+
+LAGS = 8
+"""Rows of past innovations to foretell the next from."""
+RIDGE = 5.0
+FOLDS = 4
+LEAST_SHARE = 0.02
+"""Share of an output's squared innovations below which what can be foretold is nothing to tell."""
+LEAST_NATS = 10.0
+SURE = 3.5
+"""Standard deviations, over blocks of rows, by which the gain must exceed zero."""
+TOUCHED = 0.05
+"""Share of an effect's gain from which on it is said to improve an output."""
+
+
+class LeftOver(NamedTuple):
+    """Per decorrelated output, cross-validated, zero where it may be chance.
+
+    nats: gained by foretelling. share: of the squared innovations that is foretold. foretold: the part of every
+    innovation.
+    """
+
+    nats: Float[np.ndarray, " s"]
+    share: Float[np.ndarray, " s"]
+    foretold: Float[np.ndarray, "n s"]
+
+
+def left_over(problem: Problem, fit: Fit) -> LeftOver:
+    """Autoregression of every output's innovations on their own past, cross-validated over runs of rows."""
+    y = np.clip(fit.e / fit.noise.scale, -3, 3)
+    foretold = _foretold(y, rows_of(problem.chunks).session)
+    before, after = y**2, (y - foretold) ** 2
+    share = 1 - after.sum(0) / np.maximum(before.sum(0), 1e-12)
+    gain = (before - after) / np.maximum(2 * after.mean(0), 1e-12)
+    per_block = np.add.reduceat(gain, blocks(np.asarray(problem.chunks.counts)), axis=0)
+    nats = -0.5 * len(y) * np.log(np.clip(1 - share, 1e-6, None))
+    sure = (share > LEAST_SHARE) & (nats > LEAST_NATS) & (gain.sum(0) > SURE * np.sqrt((per_block**2).sum(0)))
+    return LeftOver(
+        np.where(sure, nats, 0.0), np.where(sure, share, 0.0), np.where(sure, foretold, 0) * fit.noise.scale
+    )
+
+
+def _foretold(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
+    """Ridge regression of each column on its own `LAGS` past values in the session, fitted on the other folds."""
+    past = np.zeros((LAGS, *y.shape), y.dtype)
+    for k in range(1, min(LAGS, len(y) - 1) + 1):
+        past[k - 1, k:] = np.where((session[k:] == session[:-k])[:, None], y[:-k], 0.0)
+    fold = np.arange(len(y)) * FOLDS // len(y)
+    foretold = np.zeros_like(y)
+    for j in range(y.shape[1]):
+        x = past[:, :, j].T
+        for f in range(FOLDS):
+            fitted = fold != f
+            gram = x[fitted].T @ x[fitted] + RIDGE * np.eye(LAGS)
+            foretold[~fitted, j] = x[~fitted] @ np.linalg.solve(gram, x[fitted].T @ y[fitted, j])
+    return foretold
+
+
+def named_share(fit: Fit, without: Fit, left: LeftOver) -> float:
+    """Of what there is to explain in the outputs that an effect improves, the share that the effect explains.
+
+    `without` is the fit that lacks the effect, `left` what is left over with it.
+    """
+    more = np.maximum(log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0), 0.0)
+    touched = more > TOUCHED * more.sum()
+    return float(more.sum() / max(more.sum() + left.nats[touched].sum(), 1e-9))
