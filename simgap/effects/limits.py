@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, mounted
-from simgap.layout import Layout, X, Y, Z
+from simgap.layout import Layout, X, Y, Z, commanded
 
 SOFT = 0.02
 """Share of the reach over which commands fade at the limit, for a law with a slope."""
@@ -22,8 +22,7 @@ def _outward(axes: int):
         for k, b in enumerate(_reaching(step.layout)):
             arm = step.now.position[b, :axes]
             distance = jnp.sqrt(arm @ arm + 1e-8)
-            driven = step.layout.command[b, :axes]
-            u = jnp.where(driven >= 0, step.command[jnp.maximum(driven, 0)], 0.0)
+            u = commanded(step.layout, b, step.now.heading[b], step.command)[:axes]
             beyond = jnp.clip((distance * c[0, k] - 1) / SOFT + 0.5, 0.0, 1.0)
             out = out.at[b, :axes].add(-beyond * jnp.maximum(u @ arm / distance, 0.0) * arm / distance)
         return out
