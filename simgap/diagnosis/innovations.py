@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.layout import wrapped
 from simgap.types import Recording
 
 LENGTH = 40
@@ -98,8 +99,8 @@ def bare(chunks: Chunks) -> Chunks:
 
 
 def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
-    """Differences of states with those of angles in (-pi, pi]."""
-    return jnp.where(augmented.layout.angles, jnp.arctan2(jnp.sin(difference), jnp.cos(difference)), difference)
+    """Differences of states, those of angles between -pi and pi."""
+    return wrapped(augmented.layout, jnp.asarray(difference))
 
 
 def _chunk(augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks) -> Float[Array, "T-1 s"]:
