@@ -151,6 +151,7 @@ EFFECTS = (
     Effect(
         "backlash", "filter", (Constant("gap", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.3, 0.7),
         _backlash, "play: after a reversal the motion waits until a gap of {gap} is crossed", tie="same_unit",
+        lasts=True,
     ),
     Effect(
         "gain", "command", (Constant("gain", "-", lambda c, site, scales: 1 + c, -0.95, 2.0),), channel_sites,
