@@ -76,15 +76,15 @@ def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
     """The last value, and the highs and lows before it that no later one exceeds, the latest first.
 
     They alone decide where play stands, whatever its gap and however long the command has rested since: a swing pushes
-    it, and a wider one undoes what narrower ones before it did. Of more than `TURNS` the widest are left out; the first
-    value comes last.
+    it, and a wider one undoes what narrower ones before it did. Where there are too many the widest are left out. The
+    oldest is zero: before its session a robot stood still, with the play in the middle of its gap.
     """
     back = u[::-1]
     side = np.sign(np.diff(np.maximum.accumulate(back))) + np.sign(np.diff(np.minimum.accumulate(back)))
     (exceeding,) = side.nonzero()  # one row further back a new high (1) or low (-1) is reached
     widest = exceeding[np.diff(side[exceeding], append=0) != 0] + 1
     found = np.concatenate([back[:1], back[widest]])[: TURNS - 1]
-    return np.concatenate([found, np.full(TURNS - len(found), u[0])])
+    return np.concatenate([found, np.zeros(TURNS - len(found))])
 
 
 def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
