@@ -29,8 +29,8 @@ RUN_IN = 10
 """Rows before them, in which the estimate forgets its start."""
 WARM = 30
 """Rows of past commands that run through the command path before a chunk, so that lags are where they were."""
-TURNS = 8
-"""Turning points of each command before those rows, so that play is where it was."""
+TURNS = 12
+"""Turning points of each command before those rows, so that play is where it was; a real Spot has no more."""
 PAD = 16
 """The number of chunks is a multiple of this, so that recording sets of like size share what is compiled."""
 
