@@ -6,7 +6,7 @@ the same three characters for a one-axis drive and for a hand on a walking robot
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -74,6 +74,12 @@ class Layout:
         """Which states are angles."""
         return np.array([f.kind == "angle" for f in self.schema.state])
 
+    def in_world(self, what: Literal["position", "velocity", "command"], body: int) -> bool:
+        """Whether a body's horizontal positions, velocities or commands are along the world's axes, not its own."""
+        fields = self.schema.command if what == "command" else self.schema.state
+        columns = getattr(self, what)[body, [X, Y]]
+        return all(fields[i].frame == "world" for i in columns if i >= 0)
+
     @cached_property
     def integrates(self) -> np.ndarray:
         """For each state the index of the velocity whose integral it is in the same frame, -1 where there is none."""
@@ -117,28 +123,26 @@ def _take(values: Float[Array, " n"], indices: np.ndarray) -> Float[Array, " k"]
 
 def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
     """The bodies' motion in their own frames."""
-    velocities, positions, headings, worlds, places = [], [], [], [], []
-    for b, heading in enumerate(layout.heading):
-        angle = jnp.zeros(()) if heading is None else state[heading]
-        v, p = _take(state, layout.velocity[b]), _take(state, layout.position[b])[:3]
-        in_world = layout.velocity[b, X] < 0 or layout.schema.state[layout.velocity[b, X]].frame == "world"
-        own = v[:2] if not in_world else _turn(v[:2], -angle)
-        headings.append(angle)
-        worlds.append(_turn(own, angle))
-        places.append(p)
-        carrier = layout.carrier[b]
-        if carrier is None:
-            velocities.append(jnp.concatenate([own, v[2:]]))
-            positions.append(jnp.stack([jnp.zeros(()), jnp.zeros(()), p[2]]))
-        else:
-            arm = p[:2] - places[carrier][:2]
-            omega = velocities[carrier][YAW]
-            moved = worlds[carrier] + omega * jnp.stack([-arm[1], arm[0]])
-            velocities.append(jnp.concatenate([_turn(worlds[b] - moved, -angle), v[2:]]))
-            positions.append(jnp.concatenate([_turn(arm, -angle), p[2:3]]))
     if not layout.bodies:
         return Motion(jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros(0))
-    return Motion(jnp.stack(velocities), jnp.stack(positions), jnp.stack(headings))
+    angles = [jnp.zeros(()) if heading is None else state[heading] for heading in layout.heading]
+    rates = [_take(state, columns) for columns in layout.velocity]
+    places = [_take(state, columns)[:3] for columns in layout.position]
+    owns, worlds = [], []
+    for b, (v, angle) in enumerate(zip(rates, angles, strict=True)):
+        own = _turn(v[:2], -angle) if layout.in_world("velocity", b) else v[:2]
+        owns.append(own)
+        worlds.append(_turn(own, angle))
+    velocities, positions = [], []
+    for b, carrier in enumerate(layout.carrier):
+        own, at = owns[b], jnp.zeros(2)
+        if carrier is not None:
+            arm = places[b][:2] - places[carrier][:2]
+            moved = worlds[carrier] + rates[carrier][YAW] * jnp.stack([-arm[1], arm[0]])
+            own, at = _turn(worlds[b] - moved, -angles[b]), _turn(arm, -angles[b])
+        velocities.append(jnp.concatenate([own, rates[b][2:]]))
+        positions.append(jnp.concatenate([at, places[b][2:]]))
+    return Motion(jnp.stack(velocities), jnp.stack(positions), jnp.stack(angles))
 
 
 def carried_velocity(layout: Layout, state: Float[Array, " s"], moving: Float[Array, " s"]) -> Float[Array, " s"]:
@@ -170,27 +174,56 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
     return state
 
 
+def _enter(
+    layout: Layout, what: Literal["position", "velocity", "command"], b: int, heading: Array, delta: Float[Array, " 4"]
+) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
+    """What of a body's own-frame push enters along the axes that a table has, and what is left of it, own frame.
+
+    Along a world axis that the table lacks nothing enters: what is left is that axis' part.
+    """
+    has = getattr(layout, what)[b] >= 0
+    if not has[[X, Y]].any() or not layout.in_world(what, b):
+        return jnp.where(has, delta, 0.0), jnp.where(has, 0.0, delta)
+    along = jnp.concatenate([_turn(delta[:2], heading), delta[2:]])
+    left = jnp.where(has, 0.0, along)
+    return jnp.where(has, along, 0.0), jnp.concatenate([_turn(left[:2], -heading), left[2:]])
+
+
+def _add(values: Float[Array, " n"], columns: np.ndarray, added: Float[Array, " 4"]) -> Float[Array, " n"]:
+    for axis in range(4):
+        if columns[axis] >= 0:
+            values = values.at[int(columns[axis])].add(added[axis])
+    return values
+
+
 def push(
     layout: Layout, heading: Float[Array, " b"], delta: Float[Array, "b 4"]
 ) -> tuple[Float[Array, " u"], Float[Array, " s"], Float[Array, " s"]]:
     """A push on each body, in its own frame, as additions to the command, to the velocities and to position rates.
 
     Where a command drives the axis the push enters there, in the command's unit, so that the simulator's own dynamics
-    act on it; else it is added to the velocity of every step, or to the rate of a position without velocity.
+    act on it; else it is added to the velocity of every step, or to the rate of a position without velocity: a push
+    across a car, which knows its speed ahead only, moves both its x and its y.
     """
     n_state = len(layout.schema.state)
     u, v, p = jnp.zeros(len(layout.schema.command)), jnp.zeros(n_state), jnp.zeros(n_state)
     for b in range(len(layout.bodies)):
-        driven, has_velocity = layout.command[b] >= 0, layout.velocity[b] >= 0
-        for axis in range(4):
-            if driven[axis]:
-                u = u.at[int(layout.command[b, axis])].add(delta[b, axis])
-        rest = jnp.where(driven, 0.0, delta[b])
-        in_world = has_velocity[X] and layout.schema.state[layout.velocity[b, X]].frame == "world"
-        world = jnp.concatenate([_turn(rest[:2], heading[b]), rest[2:]])
-        for axis in range(4):
-            if has_velocity[axis]:
-                v = v.at[int(layout.velocity[b, axis])].add(world[axis] if in_world else rest[axis])
-            elif layout.position[b, axis] >= 0:
-                p = p.at[int(layout.position[b, axis])].add(world[axis])
+        entered, rest = _enter(layout, "command", b, heading[b], delta[b])
+        u = _add(u, layout.command[b], entered)
+        entered, rest = _enter(layout, "velocity", b, heading[b], rest)
+        v = _add(v, layout.velocity[b], entered)
+        entered, _ = _enter(layout, "position", b, heading[b], rest)
+        p = _add(p, layout.position[b], entered)
     return u, v, p
+
+
+def commanded(layout: Layout, b: int, heading: Float[Array, ""], command: Float[Array, " u"]) -> Float[Array, " 4"]:
+    """The commands that drive body `b`, in its own frame; zero along axes without one."""
+    u = _take(command, layout.command[b])
+    return jnp.concatenate([_turn(u[:2], -heading), u[2:]]) if layout.in_world("command", b) else u
+
+
+def wrapped(layout: Layout, difference: Float[Array, "... s"]) -> Float[Array, "... s"]:
+    """Differences of states, those of angles between -pi and pi."""
+    turns = jnp.where(layout.angles, jnp.round(difference / (2 * jnp.pi)), 0.0)
+    return difference - 2 * jnp.pi * turns

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from simgap.diagnosis.black_box import silent
 from simgap.diagnosis.fit import Fit, Problem
 from simgap.diagnosis.forecast import forecast
-from simgap.diagnosis.innovations import RUN_IN, WARM, as_chunks
-from simgap.effects.effect import HISTORY_ROWS
+from simgap.diagnosis.innovations import RUN_IN, as_chunks, sent_before
 from simgap.layout import motion
 from simgap.types import Recording
 
@@ -43,7 +42,7 @@ def design(problem: Problem, a: Fit, b: Fit, recordings: list[Recording]) -> Exp
     still = np.zeros((RUN_IN, len(limits)))
     parts = [
         (np.repeat(state[None], RUN_IN + rows + 1, 0), np.concatenate([still, u, u[-1:]]),
-         np.zeros((HISTORY_ROWS + WARM, len(limits))), np.arange(RUN_IN + rows + 1) * dt, np.ones(RUN_IN + rows + 1),
+         *sent_before(still, 0), np.arange(RUN_IN + rows + 1) * dt, np.ones(RUN_IN + rows + 1),
          np.ones(RUN_IN + rows, bool), np.ones(RUN_IN + rows + 1), 0, 0)
         for _, u in library
     ]  # fmt: skip

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.black_box import BlackBox, correct
-from simgap.diagnosis.innovations import RUN_IN, WARM, Chunks, Variables, as_chunks, bare, wrap
+from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, as_chunks, bare, sent_before, wrap
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
-from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.effects.effect import Row, Scales
 from simgap.types import Recording
 
 
@@ -23,9 +23,9 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
         interval = np.append(np.diff(r.time_s) / time_step, 1.0)
         for first in range(0, len(r.time_s) - rows + 1, stride):
             index = np.arange(first, first + rows)
-            before = np.maximum(first - 1 - np.arange(HISTORY_ROWS + WARM), 0)
-            parts.append((r.state[index], r.command[index], r.command[before], r.time_s[index] - r.time_s[0],
-                          interval[index], np.ones(rows - 1, bool), np.ones(rows), s, first))  # fmt: skip
+            parts.append((r.state[index], r.command[index], *sent_before(r.command, first),
+                          r.time_s[index] - r.time_s[0], interval[index], np.ones(rows - 1, bool), np.ones(rows), s,
+                          first))  # fmt: skip
     return as_chunks(parts) if parts else None
 
 
@@ -38,7 +38,7 @@ def forecast(
 
     def one(chunk: Chunks) -> Float[Array, "h s"]:
         first = unsense(augmented, v.theta, chunk.state[0])
-        memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0])
+        memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0], chunk.turns)
 
         def row(carry, now):
             memory, x = carry

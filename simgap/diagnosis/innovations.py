@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.layout import wrapped
 from simgap.types import Recording
 
 LENGTH = 40
@@ -27,7 +28,9 @@ LENGTH = 40
 RUN_IN = 10
 """Rows before them, in which the estimate forgets its start."""
 WARM = 30
-"""Rows of past commands that run through the command path before a chunk, so that play and lags are where they were."""
+"""Rows of past commands that run through the command path before a chunk, so that lags are where they were."""
+TURNS = 12
+"""Turning points of each command before those rows, so that play is where it was; a real Spot has no more."""
 PAD = 16
 """The number of chunks is a multiple of this, so that recording sets of like size share what is compiled."""
 
@@ -35,13 +38,14 @@ PAD = 16
 class Chunks(NamedTuple):
     """Sessions cut into C chunks of T = RUN_IN + LENGTH + 1 rows.
 
-    counts: whether the row t + 1 of the chunk is scored. gate: where gated constants act, 0 or 1. session: index into
-    the recordings; row: of the chunk's first row in its session.
+    past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: where gated constants
+    act, 0 or 1. session: index into the recordings; row: of the chunk's first row in its session.
     """
 
     state: Float[Array, "C T s"]
     command: Float[Array, "C T u"]
     past: Float[Array, "C h u"]
+    turns: Float[Array, "C m u"]
     time_s: Float[Array, "C T"]
     interval: Float[Array, "C T"]
     counts: Bool[Array, "C T-1"]
@@ -59,6 +63,30 @@ class Variables(NamedTuple):
     gated: Float[np.ndarray, " P"]
 
 
+def sent_before(
+    command: Float[np.ndarray, "T u"], row: int
+) -> tuple[Float[np.ndarray, "h u"], Float[np.ndarray, "m u"]]:
+    """What was sent before a row of a session: the last HISTORY_ROWS + WARM commands, the latest first; and where each
+    command turned before the last WARM of them. Before the session, its first command was sent all along."""
+    past = command[np.maximum(row - 1 - np.arange(HISTORY_ROWS + WARM), 0)]
+    return past, np.stack([_turns(u) for u in command[: max(row - WARM, 1)].T], axis=1)
+
+
+def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
+    """The last value, and the highs and lows before it that no later one exceeds, the latest first.
+
+    They alone decide where play stands, whatever its gap and however long the command has rested since: a swing pushes
+    it, and a wider one undoes what narrower ones before it did. Where there are too many the widest are left out. The
+    oldest is zero: before its session a robot stood still, with the play in the middle of its gap.
+    """
+    back = u[::-1]
+    side = np.sign(np.diff(np.maximum.accumulate(back))) + np.sign(np.diff(np.minimum.accumulate(back)))
+    (exceeding,) = side.nonzero()  # one row further back a new high (1) or low (-1) is reached
+    widest = exceeding[np.diff(side[exceeding], append=0) != 0] + 1
+    found = np.concatenate([back[:1], back[widest]])[: TURNS - 1]
+    return np.concatenate([found, np.zeros(TURNS - len(found))])
+
+
 def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
     """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count.
 
@@ -69,15 +97,15 @@ def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Ch
     for s, r in enumerate(recordings):
         steps = len(r.time_s) - 1
         interval = np.append(np.diff(r.time_s) / time_step, 1.0)
-        for first in range(0, max(steps - 1, 1), LENGTH):
+        for first in range(0, max(steps, 1), LENGTH):
             start = max(first - RUN_IN, 0)
             index = np.minimum(np.arange(start, start + rows), steps)
             successor = np.arange(start + 1, start + rows)
             # At a session's start a few rows are let in: the estimate begins at a measured state.
             counted = (successor > max(first, 2)) & (successor <= min(first + LENGTH, steps))
-            before = np.maximum(start - 1 - np.arange(HISTORY_ROWS + WARM), 0)
-            parts.append((r.state[index], r.command[index], r.command[before], r.time_s[index] - r.time_s[0],
-                          interval[index], counted, np.ones(rows), s, start))  # fmt: skip
+            parts.append((r.state[index], r.command[index], *sent_before(r.command, start),
+                          r.time_s[index] - r.time_s[0], interval[index], counted, np.ones(rows), s,
+                          start))  # fmt: skip
     while len(parts) % PAD or len(parts) < least:
         *arrays, counted, gate, s, start = parts[0]
         parts.append((*arrays, np.zeros_like(counted), gate, s, start))
@@ -98,8 +126,8 @@ def bare(chunks: Chunks) -> Chunks:
 
 
 def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
-    """Differences of states with those of angles in (-pi, pi]."""
-    return jnp.where(augmented.layout.angles, jnp.arctan2(jnp.sin(difference), jnp.cos(difference)), difference)
+    """Differences of states, those of angles between -pi and pi."""
+    return wrapped(augmented.layout, jnp.asarray(difference))
 
 
 def _chunk(augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks) -> Float[Array, "T-1 s"]:
@@ -107,7 +135,7 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks) ->
     gain = jax.nn.sigmoid(v.gain)
     at_start = v.theta + chunk.gate[0] * v.gated
     first = unsense(augmented, at_start, chunk.state[0])
-    memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0])
+    memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns)
 
     def row(carry, now):
         memory, x = carry

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from simgap.effects.augmented import Augmented
-from simgap.effects.effect import Scales, axis_indices
+from simgap.effects.effect import Scales, axis_indices, floored, reaching
 from simgap.layout import motion
 from simgap.types import Recording
 
@@ -34,10 +34,8 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
         speed=speed,
         axis_speed=axis_speed,
         axis_command=np.array([command[c] if c >= 0 else v for c, v in zip(driving, axis_speed, strict=True)]),
-        reach=np.stack([np.quantile(np.linalg.norm(position[:, b, :2], axis=-1), QUANTILES)
-                        for b in range(len(layout.bodies))]) if layout.bodies else np.zeros((0, 21)),
-        height=np.stack([np.quantile(position[:, b, 2], QUANTILES) for b in range(len(layout.bodies))])
-        if layout.bodies else np.zeros((0, 21)),
+        reach=np.quantile(np.linalg.norm(position[:, reaching(layout), :2], axis=-1), QUANTILES, axis=0).T,
+        height=np.quantile(position[:, floored(layout), 2], QUANTILES, axis=0).T,
         interval=_intervals(augmented, recordings),
         output=np.array([TINY + np.quantile(np.abs(s - np.median(s)), 0.95) for s in states.T]),
         duration=float(max(r.time_s[-1] - r.time_s[0] for r in recordings)),

@@ -83,16 +83,25 @@ def remember(
     state: Float[Array, " s"],
     past: Float[Array, "n u"],
     time_s: Float[Array, ""],
+    turns: Float[Array, "m u"] | None = None,
 ) -> Memory:
     """Memory at a start: `past[k]` was sent k + 1 rows ago, n > HISTORY_ROWS; the state has been what it is.
 
-    Play and lags remember long: the command path runs over all past commands first.
+    Play and lags remember long: the command path runs over all past commands first. `turns`: where each command turned
+    before that, the latest first, for filters that outlast a rest; without it none did.
     """
     keys = [effect.key for effect, sites in zip(CATALOGUE, augmented.sites, strict=True) if effect.place == "filter"]
     sent = past[::-1]
     first = sent[HISTORY_ROWS - 1 :: -1]
     memory = Memory(first, dict.fromkeys(keys, first[0]), jnp.tile(state, (SENSED_ROWS, 1)))
     row = Row(time_s, jnp.ones(()))
+    if turns is not None:
+        # Each is taken to have been held, so that dead time does not matter.
+        held = lambda m, u: m._replace(commands=jnp.tile(u, (HISTORY_ROWS, 1)))  # noqa: E731
+        turned = memory._replace(filters=dict.fromkeys(keys, turns[-1]))
+        turned = jax.lax.scan(lambda m, u: (follow(augmented, theta, held(m, u), u, row)[0], None), turned, turns[::-1])
+        lasting = {e.key: turned[0].filters[e.key] for e in CATALOGUE if e.lasts and e.key in keys}
+        memory = memory._replace(filters={**memory.filters, **lasting})
     return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row)[0], None), memory, sent[HISTORY_ROWS:])[0]
 
 

@@ -58,9 +58,9 @@ def _saturation(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: La
 
 
 def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
-    """Changes by at most 1/c a row."""
+    """Changes by at most 1/c a row: u less what of its change is too much, so that without a limit it is u exactly."""
     change = u - z
-    return z + change / jnp.maximum(1.0, jnp.abs(change) * c[0])
+    return u - change * (1 - 1 / jnp.maximum(1.0, jnp.abs(change) * c[0]))
 
 
 def _lag(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
@@ -151,6 +151,7 @@ EFFECTS = (
     Effect(
         "backlash", "filter", (Constant("gap", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.3, 0.7),
         _backlash, "play: after a reversal the motion waits until a gap of {gap} is crossed", tie="same_unit",
+        lasts=True,
     ),
     Effect(
         "gain", "command", (Constant("gain", "-", lambda c, site, scales: 1 + c, -0.95, 2.0),), channel_sites,

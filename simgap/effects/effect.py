@@ -47,9 +47,9 @@ class Scales(NamedTuple):
 
     command, command_step: 95th percentile of |u| and of |u_t - u_{t-1}| where it moves, per channel. speed: of the
     bodies' own velocities [b, 4]; axis_speed, axis_command: of the velocity and the command (or velocity) at each axis
-    site. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, height: of z [b, 21]. interval:
-    time [s] by which each position integrates its velocity. output: 95th percentile of |output| less its median.
-    duration: of the longest session [s]. time_step [s].
+    site. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies `reaching` [n, 21];
+    height: of z, of the bodies `floored` [n, 21]. interval: time [s] by which each position integrates its velocity.
+    output: 95th percentile of |output| less its median. duration: of the longest session [s]. time_step [s].
     """
 
     command: np.ndarray
@@ -97,9 +97,10 @@ class Effect:
 
     id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales, site):
     internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants ("never";
-    "same_unit": alike axes; "any"). jagged: the likelihood has many summits along the constant. event: it acts during
-    a stretch of one session. law: see the module of its place. says: a sentence for people, with the constants' names
-    to fill in.
+    "same_unit": alike axes; "any"). lasts: what a filter remembers outlasts any rest; it hangs on where commands
+    turned, not on how long ago. jagged: the likelihood has many summits along the constant. event: it acts during a
+    stretch of one session. law: see the module of its place. says: a sentence for people, with the constants' names to
+    fill in.
     """
 
     id: str
@@ -110,6 +111,7 @@ class Effect:
     law: Callable[..., Any]
     says: str
     form: str = ""
+    lasts: bool = False
     jagged: bool = False
     event: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
@@ -180,6 +182,16 @@ def mounted(layout: Layout) -> list[int]:
 def turning(layout: Layout) -> list[int]:
     """Bodies with a yaw rate and velocities along x and y, not mounted."""
     return [b for b, c in enumerate(layout.carrier) if c is None and all(layout.velocity[b, [0, 1, 3]] >= 0)]
+
+
+def reaching(layout: Layout) -> list[int]:
+    """Bodies on a carrier that commands drive along x and y."""
+    return [b for b in mounted(layout) if all(layout.command[b, [0, 1]] >= 0)]
+
+
+def floored(layout: Layout) -> list[int]:
+    """Bodies whose height is measured."""
+    return [b for b in range(len(layout.bodies)) if layout.position[b, 2] >= 0]
 
 
 def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:

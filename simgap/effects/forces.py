@@ -16,7 +16,7 @@ from simgap.effects.effect import (
     turning,
 )
 from simgap.effects.resistance import speed
-from simgap.layout import YAW, Layout, X, Y, Z
+from simgap.layout import YAW, Layout, X, Y, Z, commanded
 
 
 def _lifted(layout: Layout) -> list[int]:
@@ -41,8 +41,8 @@ def _payload(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(_lifted(step.layout)):
         on = jnp.clip((step.row.time_s - c[2, k]) / step.scales.time_step, 0.0, 1.0)
-        driven = step.layout.command[b]
-        u = jnp.where(driven >= 0, step.command[jnp.maximum(driven, 0)], step.now.velocity[b])
+        u = commanded(step.layout, b, step.now.heading[b], step.command)
+        u = jnp.where(step.layout.command[b] >= 0, u, step.now.velocity[b])
         out = out.at[b].add(-on * c[0, k] * (u - step.now.velocity[b]))
         out = out.at[b, Z].add(-on * c[1, k])
     return out

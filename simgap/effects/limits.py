@@ -4,26 +4,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, mounted
-from simgap.layout import Layout, X, Y, Z
+from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, floored, reaching
+from simgap.layout import Layout, X, Y, Z, commanded
 
 SOFT = 0.02
 """Share of the reach over which commands fade at the limit, for a law with a slope."""
-
-
-def _reaching(layout: Layout) -> list[int]:
-    return [b for b in mounted(layout) if all(layout.command[b, [X, Y]] >= 0)]
 
 
 def _outward(axes: int):
     def law(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
         """Less the outward part of the command where the distance exceeds 1/c."""
         out = jnp.zeros_like(step.now.velocity)
-        for k, b in enumerate(_reaching(step.layout)):
+        for k, b in enumerate(reaching(step.layout)):
             arm = step.now.position[b, :axes]
             distance = jnp.sqrt(arm @ arm + 1e-8)
-            driven = step.layout.command[b, :axes]
-            u = jnp.where(driven >= 0, step.command[jnp.maximum(driven, 0)], 0.0)
+            u = commanded(step.layout, b, step.now.heading[b], step.command)[:axes]
             beyond = jnp.clip((distance * c[0, k] - 1) / SOFT + 0.5, 0.0, 1.0)
             out = out.at[b, :axes].add(-beyond * jnp.maximum(u @ arm / distance, 0.0) * arm / distance)
         return out
@@ -32,24 +27,16 @@ def _outward(axes: int):
 
 
 def _reaches(scales: Scales, site: int) -> list[list[float]]:
-    # Only bodies with a carrier have a reach; with one such body, as usual, its row is the last that is not nil.
-    rows = [row for row in scales.reach if row[-1] > 0]
-    quantiles = rows[site] if site < len(rows) else np.ones(21)
-    return [[1 / max(float(quantiles[q]), 1e-3)] for q in (18, 16, 13, 9)]
-
-
-def _floored(layout: Layout) -> list[int]:
-    """Bodies whose height is measured."""
-    return [b for b in range(len(layout.bodies)) if layout.position[b, Z] >= 0]
+    return [[1 / max(float(scales.reach[site, q]), 1e-3)] for q in (18, 16, 13, 9)]
 
 
 def _contact(
     c: Float[Array, "1 n"], state: Float[Array, " s"], then: Float[Array, " s"], layout: Layout, scales: Scales, row
 ) -> Float[Array, " s"]:
     """z >= lowest recorded z + c, and no velocity into the ground."""
-    for k, b in enumerate(_floored(layout)):
+    for k, b in enumerate(floored(layout)):
         z, vz = (int(table[b, Z]) for table in (layout.position, layout.velocity))
-        floor = jnp.where(c[0, k] > 0, scales.height[b, 0] + c[0, k], -jnp.inf)
+        floor = jnp.where(c[0, k] > 0, scales.height[k, 0] + c[0, k], -jnp.inf)
         below = then[z] < floor
         then = then.at[z].max(floor)
         if vz >= 0:
@@ -58,13 +45,12 @@ def _contact(
 
 
 def _heights(scales: Scales, site: int) -> list[list[float]]:
-    rows = [row for row in scales.height if np.ptp(row) > 0]
-    quantiles = rows[site] if site < len(rows) else np.ones(21)
-    return [[max(float(quantiles[q] - quantiles[0]), 1e-4)] for q in (1, 3, 6)]
+    lowest = float(scales.height[site, 0])
+    return [[max(float(scales.height[site, q]) - lowest, 1e-4)] for q in (1, 3, 6)]
 
 
 def _floored_sites(layout: Layout) -> tuple[Site, ...]:
-    return tuple(Site(layout.bodies[b], (), layout.outputs(b, (Z,)), layout.bodies[b], "m") for b in _floored(layout))
+    return tuple(Site(layout.bodies[b], (), layout.outputs(b, (Z,)), layout.bodies[b], "m") for b in floored(layout))
 
 
 def _reach(c: float, site: int, scales: Scales) -> float:
@@ -72,19 +58,18 @@ def _reach(c: float, site: int, scales: Scales) -> float:
 
 
 def _height(c: float, site: int, scales: Scales) -> float:
-    rows = [row for row in scales.height if np.ptp(row) > 0]
-    return float(rows[site][0]) + c if site < len(rows) else c
+    return float(scales.height[site, 0]) + c
 
 
 EFFECTS = (
     Effect(
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
-        lambda layout: body_sites(layout, _reaching(layout), (X, Y)), _reaches, _outward(2),
+        lambda layout: body_sites(layout, reaching(layout), (X, Y)), _reaches, _outward(2),
         "reach limit: beyond a horizontal reach of {reach} the arm cannot follow outward commands", form="horizontal",
     ),
     Effect(
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
-        lambda layout: body_sites(layout, _reaching(layout), (X, Y, Z)),
+        lambda layout: body_sites(layout, reaching(layout), (X, Y, Z)),
         lambda scales, site: [[0.8 * c[0]] for c in _reaches(scales, site)], _outward(3),
         "reach limit: beyond {reach} from its carrier's origin the arm cannot follow outward commands",
         form="spherical",

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Site
-from simgap.layout import Layout
+from simgap.layout import Layout, wrapped
 
 
 def _output_sites(layout: Layout) -> tuple[Site, ...]:
@@ -32,9 +32,9 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], layo
     delay = jnp.zeros(len(layout.schema.state))
     for k, (_, members) in enumerate(_sensors(layout)):
         delay = delay.at[jnp.array(members)].set(c[0, k])
-    states = jnp.concatenate([state[None], past])
-    rows = jnp.arange(len(states))[:, None]
-    return (jnp.maximum(0.0, 1 - jnp.abs(rows - delay)) * states).sum(0)
+    since = wrapped(layout, jnp.concatenate([state[None], past]) - state)
+    rows = jnp.arange(len(since))[:, None]
+    return state + (jnp.maximum(0.0, 1 - jnp.abs(rows - delay)) * since).sum(0)
 
 
 def _scale(c: Float[Array, "1 s"], state: Array, past: Array, layout: Layout) -> Array:

@@ -8,9 +8,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Row, Scales, Site, body_sites, mounted
-from simgap.layout import YAW, Layout, X, Y, carried_velocity, turned
+from simgap.layout import YAW, Layout, X, Y, carried_velocity, turned, wrapped
 
 _S = Float[Array, " s"]
+MISTIMED = 0.3
+"""Share of the nominal time step by which the true one may differ: time stamps are no further off. A robot that covers
+still more or less ground in a row does so for another reason, for which a simulator may have parameters."""
 
 
 def _integrated(layout: Layout) -> list[int]:
@@ -41,13 +44,13 @@ def _position_site(layout: Layout) -> tuple[Site, ...]:
 
 def _interval(c: Float[Array, "1 1"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
     """s + (1 + c) (s' - s)."""
-    return then + c[0, 0] * (then - state)
+    return then + c[0, 0] * wrapped(layout, then - state)
 
 
 def _stamped(c: Float[Array, "1 1"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
     """Positions advance by the row's own interval to the share c."""
     is_position = jnp.array([f.kind in ("position", "angle") for f in layout.schema.state])
-    return then + jnp.where(is_position, c[0, 0] * (row.interval - 1) * (then - state), 0.0)
+    return then + jnp.where(is_position, c[0, 0] * (row.interval - 1) * wrapped(layout, then - state), 0.0)
 
 
 def _own_motion(c: Float[Array, "1 n"], state: _S, layout: Layout, scales: Scales) -> _S:
@@ -104,7 +107,8 @@ EFFECTS = (
     ),
     Effect(
         "sampling_interval", "after",
-        (Constant("interval", "s", lambda c, site, scales: scales.time_step * (1 + c), -0.9, 5.0),), _whole_site,
+        (Constant("interval", "s", lambda c, site, scales: scales.time_step * (1 + c), -MISTIMED, MISTIMED),),
+        _whole_site,
         lambda scales, site: [[0.1]], _interval, "the true time step is {interval}", form="constant",
     ),
     Effect(

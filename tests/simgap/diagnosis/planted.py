@@ -18,11 +18,11 @@ SPOT = Augmented(Spot())
 PHI = np.array([0.5, 0.5, 0.5, 0.08, 0.08, 0.3, *[0.0] * 12, *[1.0] * 6], np.float32)
 PROCESS = np.array([0.0, 0.0, 0.0, 0.012, 0.012, 0.015, 0.0, 0.0, 0.0, 0.02, 0.02, 0.02])
 SENSOR = np.array([0.002, 0.002, 0.003, 0.012, 0.012, 0.015, 0.003, 0.003, 0.003, 0.02, 0.02, 0.02])
-HEIGHTS = np.tile(np.linspace(0.2, 0.95, 21), (2, 1))
 SCALES = Scales(
     command=np.array([1.0, 0.7, 1.0, 0.6, 0.6, 0.6]), command_step=np.full(6, 0.15), speed=np.full((2, 4), 0.8),
-    axis_speed=np.full(6, 0.8), axis_command=np.full(6, 0.8), reach=np.tile(np.linspace(0.5, 1.2, 21), (2, 1)),
-    height=HEIGHTS, interval=np.full(12, 1 / 15), output=np.ones(12), duration=40.0, time_step=1 / 15,
+    axis_speed=np.full(6, 0.8), axis_command=np.full(6, 0.8), reach=np.linspace(0.5, 1.2, 21)[None],
+    height=np.linspace(0.2, 0.95, 21)[None], interval=np.full(12, 1 / 15), output=np.ones(12),
+    duration=40.0, time_step=1 / 15,
 )  # fmt: skip
 
 

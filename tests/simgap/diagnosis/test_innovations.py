@@ -1,18 +1,29 @@
 """Innovations vanish where nothing is unknown; every transition counts once; their derivatives are derivatives."""
 
-from functools import cache
+from functools import cache, reduce
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, acting, innovations, sessions
 
 from examples.drive import DRIVE
 from simgap.diagnosis.fit import BATCHES
-from simgap.diagnosis.innovations import LENGTH, PAD, Variables, as_chunks, cut, tangents, wrap
+from simgap.diagnosis.innovations import (
+    LENGTH,
+    PAD,
+    TURNS,
+    WARM,
+    Variables,
+    as_chunks,
+    cut,
+    sent_before,
+    tangents,
+    wrap,
+)
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot, advance, remember
@@ -53,19 +64,11 @@ def seen(constants: dict, recordings: list[Recording]) -> np.ndarray:
     return e[np.asarray(chunks.counts) & (successor > LET_IN)]
 
 
-PLAY = pytest.param(
-    "backlash",
-    marks=pytest.mark.xfail(
-        reason="suspected weakness: where a command rests for more than WARM + HISTORY_ROWS rows before a chunk, it is "
-        "forgotten on which side of the gap the play was",
-        strict=True,
-    ),
-)
 # Here rows are evenly spaced, so that `stamped` does nothing: see below.
-OTHERS = [e.key for e in CATALOGUE if e.key not in ("backlash", "sampling_interval.stamped")]
+OTHERS = [e.key for e in CATALOGUE if e.key != "sampling_interval.stamped"]
 
 
-@pytest.mark.parametrize("key", [*OTHERS, PLAY])
+@pytest.mark.parametrize("key", OTHERS)
 def test_with_true_constants_and_no_noise_innovations_vanish(key: str) -> None:
     constants = everywhere(key)
     recorded, _ = sessions(constants, seed=1, noise=0.0)
@@ -120,19 +123,12 @@ def session(name: int, rows: int, columns: tuple[int, int] = (12, 6)) -> Recordi
     return Recording(str(name), np.arange(rows) / 15, state, command)
 
 
-@given(st.lists(st.integers(2, 170).filter(lambda rows: rows % LENGTH != 2 or rows == 2), min_size=1, max_size=4))
+@given(st.lists(st.integers(2, 170), min_size=1, max_size=4))
+@example([2])  # a single transition
+@example([LENGTH, 2 * LENGTH, LENGTH + 1, 2 * LENGTH + 1])
+@example([LENGTH + 2, 2 * LENGTH + 2])  # a chunk begins at the last transition
 @settings(max_examples=40, deadline=None)
 def test_every_transition_counts_once_and_none_crosses_sessions(rows: list[int]) -> None:
-    counts_once(rows)
-
-
-@pytest.mark.xfail(reason="suspected bug: with LENGTH k + 1 transitions the last one is in no chunk", strict=True)
-@pytest.mark.parametrize("rows", [42, 82])
-def test_every_transition_counts_once_where_a_chunk_begins_at_the_last(rows: int) -> None:
-    counts_once([rows])
-
-
-def counts_once(rows: list[int]) -> None:
     chunks = cut([session(s, n) for s, n in enumerate(rows)], 1 / 15)
     assert len(chunks.state) % PAD == 0
     state, counts = np.asarray(chunks.state), np.asarray(chunks.counts)
@@ -157,6 +153,18 @@ def test_chunks_know_where_they_come_from(rows: list[int]) -> None:
     past = np.maximum(chunks.row[:, None] - 1 - np.arange(chunks.past.shape[1]), 0)
     np.testing.assert_array_equal(np.asarray(chunks.past)[used, :, 0], past[used])
     np.testing.assert_allclose(chunks.interval, 1, atol=1e-4)
+
+
+@given(st.lists(st.integers(-3, 3), min_size=1, max_size=300), st.sampled_from([0.0, 1.0, 2.0, 3.5, 7.0]))
+@settings(max_examples=60, deadline=None)
+def test_turning_points_tell_where_play_stands(commands: list[int], gap: float) -> None:
+    """Whatever the gap, and however long ago the command turned: as if it had seen every row since it stood still."""
+    command = np.array(commands, float)[:, None]
+    played = lambda z, rows: reduce(lambda z, u: np.clip(z, u - gap / 2, u + gap / 2), rows, z)  # noqa: E731
+    _, turns = sent_before(np.concatenate([command, np.zeros((WARM, 1))]), len(command) + WARM)
+    assert turns.shape == (TURNS, 1)
+    assert turns[-1] == 0
+    np.testing.assert_array_equal(played(np.zeros(1), turns[::-1]), played(np.zeros(1), command))
 
 
 def test_rows_that_do_not_count_are_zero() -> None:

@@ -42,7 +42,6 @@ PHI = {
     "drive": np.array([2.0, 4.0], np.float32),
 }
 ROW = Row(jnp.array(7.0), jnp.array(1.3))
-WRAPS = "suspected bug: angles are subtracted or mixed without regard to their wrap"
 robots = pytest.mark.parametrize("robot", ROBOTS)
 effects = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.key)
 seeds = st.integers(0, 2**31 - 1)
@@ -116,7 +115,7 @@ def test_with_all_constants_zero_it_is_the_simulator(robot: str, seed: int) -> N
     zero = jnp.zeros(len(ROBOTS[robot].slots))
     memory, state, command = scene(robot, seed)
     _, then, measured = one_step(robot, zero, memory, state, command, scales(robot))
-    # Compiled apart, and with a rate limit that computes z + (u - z), sums round otherwise.
+    # Compiled apart, sums round otherwise.
     np.testing.assert_allclose(then, bare(robot, state, command), rtol=1e-6, atol=2e-6)
     np.testing.assert_array_equal(measured, then)
     np.testing.assert_array_equal(unsense(ROBOTS[robot], zero, then), then)
@@ -136,7 +135,6 @@ def test_with_all_constants_zero_it_is_the_simulator_to_the_last_bit(robot: str)
 @robots
 @given(seed=seeds)
 @settings(max_examples=5, deadline=None)
-@pytest.mark.xfail(reason="the rate limit computes z + (u - z), which rounds: 1 ulp off, reported", strict=True)
 def test_commands_pass_to_the_last_bit_when_all_constants_are_zero(robot: str, seed: int) -> None:
     memory, _, command = scene(robot, seed)
     with jax.disable_jit():
@@ -340,14 +338,7 @@ class WrappedCar(Car):
 
 
 @pytest.mark.parametrize(
-    "key",
-    [
-        pytest.param("sampling_interval.constant", marks=pytest.mark.xfail(reason=WRAPS, strict=True)),
-        pytest.param("sampling_interval.stamped", marks=pytest.mark.xfail(reason=WRAPS, strict=True)),
-        pytest.param("sensor_delay", marks=pytest.mark.xfail(reason=WRAPS, strict=True)),
-        "gain",
-        "viscous_drag",
-    ],
+    "key", ["sampling_interval.constant", "sampling_interval.stamped", "sensor_delay", "gain", "viscous_drag"]
 )
 def test_a_simulator_may_wrap_its_angles(key: str) -> None:
     (effect,) = (e for e in CATALOGUE if e.key == key)
@@ -430,13 +421,29 @@ def test_physical_constants_by_hand(key: str, constants: list[float], expected: 
     assert got == pytest.approx([expected])  # the drive's step is 0.02 s
 
 
-@pytest.mark.xfail(reason="suspected bug: rows of bodies that do not move are skipped, sites are not", strict=True)
 def test_heights_are_those_of_their_own_body() -> None:
     """A body whose recorded height never changes, and one that goes from 0.2 to 0.9 m."""
     (effect,) = (e for e in CATALOGUE if e.id == "ground_contact")
     heights = scales("spot")._replace(height=np.stack([np.full(21, 0.5), np.linspace(0.2, 0.9, 21)]))
     got = [effect.constants[0].physical(0.1, site, heights) for site in (0, 1)]
     assert got == pytest.approx([0.6, 0.3])
+
+
+def test_reach_and_height_are_measured_of_the_hand_alone() -> None:
+    """Spot's base has neither; its hand's are found at its one site."""
+    base, still = np.array([2.0, -1.0]), np.zeros((5, 12))
+    still[:, :2], still[:, 6:9] = base, [base[0] + 0.3, base[1] - 0.4, 0.5]
+    got = measure(ROBOTS["spot"], [Recording("still", np.arange(5) / 15, still, np.zeros((5, 6)))])
+    np.testing.assert_allclose(got.reach, np.full((1, 21), 0.5), rtol=1e-6)
+    np.testing.assert_allclose(got.height, np.full((1, 21), 0.5), rtol=1e-6)
+
+
+def test_the_clock_is_off_by_thirty_percent_at_most() -> None:
+    """What goes beyond is no matter of time stamps, but of the simulator's parameters."""
+    (effect,) = (e for e in CATALOGUE if e.key == "sampling_interval.constant")
+    (interval,) = effect.constants
+    off = [interval.physical(c, 0, scales("drive")) / DRIVE.time_step for c in (interval.low, interval.high)]
+    assert off == pytest.approx([0.7, 1.3])
 
 
 def test_sensors_by_hand() -> None:
