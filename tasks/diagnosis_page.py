@@ -235,11 +235,37 @@ def _colour_scale(top: float) -> str:
 
 
 def _what(diagnosis: Values, evidence: Values) -> str:
-    effects = diagnosis.get("effects") or []
+    effects, laws = diagnosis.get("effects") or [], evidence.get("laws") or []
+    parts = [_card(effect, [law for law in laws if law["effect"] == effect["id"]]) for effect in effects]
     if not effects:
-        return f"<p>{escape(_NO_EFFECTS.get(str(diagnosis['verdict']), 'No effect was found.'))}</p>"
-    laws = evidence.get("laws") or []
-    return "".join(_card(effect, [law for law in laws if law["effect"] == effect["id"]]) for effect in effects)
+        parts.append(f"<p>{escape(_NO_EFFECTS.get(str(diagnosis['verdict']), 'No effect was found.'))}</p>")
+    return "".join(parts) + _nearest(diagnosis.get("resembles") or []) + _left_over(diagnosis.get("left_over") or {})
+
+
+def _nearest(resembling: Sequence[Values]) -> str:
+    """Effects that are like part of the mismatch, and are not named as missing."""
+    if not resembling:
+        return ""
+    items = "".join(
+        f"<li>{escape(str(e.get('statement', '')))} <small>{_fixed(e.get('gain_nats'), 1)} nats</small></li>"
+        for e in resembling
+    )
+    return (
+        "<p>The nearest words for part of it. Each explains less than half of what there is to explain where it acts, "
+        f"and is not named as missing:</p><ul>{items}</ul>"
+    )
+
+
+def _left_over(left: Values) -> str:
+    """What the innovations still tell of each other."""
+    outputs = left.get("outputs") or []
+    if not outputs:
+        return ""
+    shares = ", ".join(f"{_percent(o['share'])} in {_code(o['name'])}" for o in outputs)
+    return (
+        f"<p>Noise cannot be foretold, but of what this leaves over the rows before foretell {shares} "
+        f"({_fixed(left.get('nats'), 0)} nats): there is more than what is named.</p>"
+    )
 
 
 def _card(effect: Values, laws: Sequence[Values]) -> str:

@@ -119,6 +119,13 @@ def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]
     return _interval(lambda i: float(np.nanmean(a.nll[i] - b.nll[i])), resample(a.session, rng))
 
 
+def worse(a: Judged, b: Judged, rng: np.random.Generator) -> bool:
+    """Whether b misses more of the motion than a after the longest horizon, beyond chance: it has the wrong idea."""
+    last = a.error.shape[1] - 1
+    more = _interval(lambda i: _share_missed(b, last, i) - _share_missed(a, last, i), resample(a.session, rng))
+    return more["ci95"][0] > 0
+
+
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
     """Share of the black box's one-step gain that named physics makes; None where the box gains nothing sure."""
     if difference(refitted, box, rng)["ci95"][0] <= 0:

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis.fit import Fit, Problem, log_density
-from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.when import rows_of
+from simgap.layout import Layout
 
 LAGS = 8
 """Rows of past innovations to foretell the next from."""
@@ -20,8 +20,9 @@ FOLDS = 4
 LEAST_SHARE = 0.02
 """Share of an output's squared innovations below which what can be foretold is nothing to tell."""
 LEAST_NATS = 10.0
-SURE = 3.5
-"""Standard deviations, over blocks of rows, by which the gain must exceed zero."""
+"""What must be gained beyond what is gained by chance."""
+DRAWS = 20
+"""Innovations with random signs, which nothing can foretell, to see what is gained by chance."""
 TOUCHED = 0.05
 """Share of an effect's gain from which on it is said to improve an output."""
 
@@ -41,16 +42,19 @@ class LeftOver(NamedTuple):
 def left_over(problem: Problem, fit: Fit) -> LeftOver:
     """Autoregression of every output's innovations on their own past, cross-validated over runs of rows."""
     y = np.clip(fit.e / fit.noise.scale, -3, 3)
-    foretold = _foretold(y, rows_of(problem.chunks).session)
-    before, after = y**2, (y - foretold) ** 2
-    share = 1 - after.sum(0) / np.maximum(before.sum(0), 1e-12)
-    gain = (before - after) / np.maximum(2 * after.mean(0), 1e-12)
-    per_block = np.add.reduceat(gain, blocks(np.asarray(problem.chunks.counts)), axis=0)
-    nats = -0.5 * len(y) * np.log(np.clip(1 - share, 1e-6, None))
-    sure = (share > LEAST_SHARE) & (nats > LEAST_NATS) & (gain.sum(0) > SURE * np.sqrt((per_block**2).sum(0)))
-    return LeftOver(
-        np.where(sure, nats, 0.0), np.where(sure, share, 0.0), np.where(sure, foretold, 0) * fit.noise.scale
-    )
+    session = rows_of(problem.chunks).session
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (DRAWS, len(y), 1))
+    chance = max(_gained(drawn, _foretold(drawn, session))[0].max() for drawn in signs * y)
+    foretold = _foretold(y, session)
+    nats, share = _gained(y, foretold)
+    sure = (share > LEAST_SHARE) & (nats > max(chance, 0.0) + LEAST_NATS)
+    return LeftOver(*(np.where(sure, a, 0.0) for a in (nats, share, foretold * fit.noise.scale)))
+
+
+def _gained(y: Float[np.ndarray, "n s"], foretold: Float[np.ndarray, "n s"]) -> tuple[np.ndarray, np.ndarray]:
+    """Log-likelihood gained [nats], and share of the squares foretold, per column."""
+    share = 1 - ((y - foretold) ** 2).sum(0) / np.maximum((y**2).sum(0), 1e-12)
+    return -0.5 * len(y) * np.log(np.clip(1 - share, 1e-6, None)), share
 
 
 def _foretold(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
@@ -69,11 +73,14 @@ def _foretold(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Fl
     return foretold
 
 
-def named_share(fit: Fit, without: Fit, left: LeftOver) -> float:
+def named_share(layout: Layout, fit: Fit, without: Fit, left: LeftOver) -> float:
     """Of what there is to explain in the outputs that an effect improves, the share that the effect explains.
 
-    `without` is the fit that lacks the effect, `left` what is left over with it.
+    `without` is the fit that lacks the effect, `left` what is left over with it. A position and its velocity are one.
     """
     more = np.maximum(log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0), 0.0)
     touched = more > TOUCHED * more.sum()
+    moved = layout.integrates >= 0
+    either = touched[moved] | touched[layout.integrates[moved]]
+    touched[moved], touched[layout.integrates[moved]] = either, either
     return float(more.sum() / max(more.sum() + left.nats[touched].sum(), 1e-9))

@@ -1,6 +1,6 @@
 """Every effect of a set against what could stand in its place: who keeps it, and how sure that is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np

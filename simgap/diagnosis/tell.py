@@ -116,7 +116,8 @@ def _verdict(
     refitted = judged["refitted"]
     share = judge.explained_share(refitted, judged.get("augmented", refitted), judged["black_box"], rng)
     named = any(_named(found, m) for m in found.members)
-    if named and not (share is not None and share["ci95"][1] < EXPLAINED):
+    little = share is not None and share["ci95"][1] < EXPLAINED
+    if named and not little and not judge.worse(refitted, judged["augmented"], rng):
         return share, "missing_physics"
     accounted = any(s.id in PERIODIC_OR_ODD for s in found.scattered)
     if found.members or share is not None or (found.left.nats.any() and not accounted):
@@ -129,7 +130,7 @@ def _verdict(
 
 def _named(found: Explanation, member: Member) -> bool:
     """Whether an effect explains its outputs, rather than being the nearest word for something else."""
-    return named_share(found.fit, member.without, found.left) >= EXPLAINED
+    return named_share(found.problem.augmented.layout, found.fit, member.without, found.left) >= EXPLAINED
 
 
 def _left(found: Explanation) -> dict[str, Any]:
