@@ -188,5 +188,5 @@ def dependence(
     for i, name in enumerate(input_names(augmented.layout)):
         shuffled = z.copy()
         shuffled[:, i] = rng.permutation(z[:, i])
-        shares.append((name, max(loss(shuffled) - with_all, 0.0) / max(explained, 1e-9)))
+        shares.append((name, float(np.clip((loss(shuffled) - with_all) / max(explained, 1e-9), 0.0, 1.0))))
     return sorted(shares, key=lambda s: -s[1])

@@ -78,9 +78,10 @@ def named_share(layout: Layout, fit: Fit, without: Fit, left: LeftOver) -> float
 
     `without` is the fit that lacks the effect, `left` what is left over with it. A position and its velocity are one.
     """
-    more = np.maximum(log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0), 0.0)
-    touched = more > TOUCHED * more.sum()
+    more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
+    gained = max(float(more.sum()), 0.0)
+    touched = more > TOUCHED * gained
     moved = layout.integrates >= 0
     either = touched[moved] | touched[layout.integrates[moved]]
     touched[moved], touched[layout.integrates[moved]] = either, either
-    return float(more.sum() / max(more.sum() + left.nats[touched].sum(), 1e-9))
+    return gained / max(gained + float(left.nats[touched].sum()), 1e-9)

@@ -75,7 +75,7 @@ def statement(
             "transitions": int(np.asarray(found.problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
-        "located": _located(found, sessions, contestants, verdict, rng),
+        "located": _located(found, sessions, contestants, verdict, share is not None, rng),
         "effects": effects, "resembles": doubtful, "left_over": _left(found),
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
@@ -167,6 +167,7 @@ def _located(
     sessions: Sessions,
     contestants: dict[str, Contestant],
     verdict: str,
+    seen_by_box: bool,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
     problem = found.problem
@@ -177,17 +178,19 @@ def _located(
         "outputs": locate.outputs(problem.augmented, where),
         "regimes": locate.regimes(where),
         "intervals": _intervals(found, where, sessions.fitted),
-        "depends_on": _depends_on(found, contestants["black_box"], rng) if verdict == "unexplained" else [],
+        "depends_on": _depends_on(found, contestants["black_box"].box if seen_by_box else None, rng)
+        if verdict == "unexplained"
+        else [],
     }
 
 
-def _depends_on(found: Explanation, contestant: Contestant, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """What the nameless depends on: the black box's inputs, and its own past, each with its share."""
-    box, problem = contestant.box, found.problem
-    assert box is not None  # the black box is one
-    depends = black_box.dependence(problem.augmented, box, problem.chunks, raw_innovations(problem, found.base.v), rng)
-    own = [("its own past", float(found.left.share.max()))] if found.left.share.any() else []
-    return [{"input": i, "share": s} for i, s in sorted([*own, *depends[:3]], key=lambda d: -d[1])]
+def _depends_on(found: Explanation, box: black_box.BlackBox | None, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """What the nameless depends on, each with its share: the inputs of a black box that explains it, its own past."""
+    problem, depends = found.problem, [("its own past", float(found.left.share.max()))]
+    if box is not None:
+        raw = raw_innovations(problem, found.base.v)
+        depends += black_box.dependence(problem.augmented, box, problem.chunks, raw, rng)[:3]
+    return [{"input": i, "share": s} for i, s in sorted(depends, key=lambda d: -d[1]) if s > 0]
 
 
 def _scattered(s: Scatter) -> dict[str, Any]:
