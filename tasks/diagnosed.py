@@ -7,6 +7,7 @@ import numpy as np
 from prefect import task
 
 from simgap.diagnosis.explain import explain
+from simgap.diagnosis.search import without
 from simgap.recordings import HISTORY, divide
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
@@ -30,7 +31,7 @@ class Sessions(NamedTuple):
 class Found(NamedTuple):
     """The simulator with what was found and what identifies the diagnosis.
 
-    Effects on the scatter, and those that act for a while only, are not in it.
+    Effects on the scatter, those that act for a while only, and mere nearest words are not in it.
     """
 
     simulator: AugmentedSimulator
@@ -84,11 +85,12 @@ def find(
     record.unlink(missing_ok=True)
     start, spot = clock(), Spot(time_step=time_step)
     found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
-    simulator = AugmentedSimulator.of(spot, np.asarray(found.fit.v.theta), found.problem.scales)
+    nearest = [group for m in found.members if not found.names(m) for group in m.candidate.groups]
+    simulator = AugmentedSimulator.of(spot, without(found.fit, nearest).v.theta, found.problem.scales)
     files.save_arrays(arrays, files.augmented_arrays(simulator))
     files.write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),
-                              "found": [m.candidate.name for m in found.members],
+                              "found": [m.candidate.name for m in found.members if found.names(m)],
                               "scattered": [s.id for s in found.scattered]})  # fmt: skip
 
 

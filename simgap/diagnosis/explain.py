@@ -9,7 +9,7 @@ from jaxtyping import Float
 from simgap.diagnosis.candidates import candidates, changed, gated
 from simgap.diagnosis.fit import Fit, Problem, evaluate, optimise, start, whitening
 from simgap.diagnosis.innovations import Chunks, cut
-from simgap.diagnosis.left_over import LeftOver, left_over
+from simgap.diagnosis.left_over import LeftOver, left_over, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
@@ -19,6 +19,8 @@ from simgap.diagnosis.when import When, gate
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording, StepModel
 
+EXPLAINED = 0.5
+"""Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
 ODD_ROWS = ("sampling_interval", "dropout")
 """Effects on the scatter that are a matter of single rows."""
 
@@ -42,6 +44,10 @@ class Explanation(NamedTuple):
     unseen: Chunks
     when: When | None
     rounds: list[Round]
+
+    def names(self, member: Member) -> bool:
+        """Whether an effect explains its outputs, rather than being the nearest word for something else."""
+        return named_share(self.problem.augmented.layout, self.fit, member.without, self.left) >= EXPLAINED
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:

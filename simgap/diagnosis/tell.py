@@ -7,11 +7,11 @@ import numpy as np
 
 from simgap.diagnosis import black_box, confidence, judge, locate, pictures, words
 from simgap.diagnosis.experiment import Experiment
-from simgap.diagnosis.explain import ODD_ROWS, Explanation, gain
+from simgap.diagnosis.explain import EXPLAINED, ODD_ROWS, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.judge import Contestant, Judged
-from simgap.diagnosis.left_over import left_over, named_share
+from simgap.diagnosis.left_over import left_over
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter import Scatter
 from simgap.effects import CATALOGUE
@@ -19,8 +19,6 @@ from simgap.types import Recording
 
 SEEN = 8.0
 """Nats that an effect of usual strength must be able to gain for the recordings to show it."""
-EXPLAINED = 0.5
-"""Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
 PERIODIC_OR_ODD = ("gait_oscillation", *ODD_ROWS)
 """Effects on the scatter that account for innovations that can be foretold, or do not bring such about."""
 CREDIBLE = 0.95
@@ -61,7 +59,7 @@ def statement(
     layout = found.problem.augmented.layout
     share, verdict = _verdict(found, judged, rng)
     sd = confidence.spread(found.problem, found.fit, found.nuisance)
-    members = [(_named(found, m), _effect(found, m, sd, sessions.fitted)) for m in found.members]
+    members = [(found.names(m), _effect(found, m, sd, sessions.fitted)) for m in found.members]
     effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
     doubtful = [e for sure, e in members if not sure]
     if verdict == "unexplained":
@@ -115,7 +113,7 @@ def _verdict(
         return None, "missing_physics" if found.members or found.scattered else "nothing"
     refitted = judged["refitted"]
     share = judge.explained_share(refitted, judged.get("augmented", refitted), judged["black_box"], rng)
-    named = any(_named(found, m) for m in found.members)
+    named = any(found.names(m) for m in found.members)
     little = share is not None and share["ci95"][1] < EXPLAINED
     if named and not little and not judge.worse(refitted, judged["augmented"], rng):
         return share, "missing_physics"
@@ -126,11 +124,6 @@ def _verdict(
         return share, "missing_physics"
     moved = judge.difference(judged["as_is"], refitted, rng)["ci95"][0] > 0
     return share, "parameters_only" if moved else "nothing"
-
-
-def _named(found: Explanation, member: Member) -> bool:
-    """Whether an effect explains its outputs, rather than being the nearest word for something else."""
-    return named_share(found.problem.augmented.layout, found.fit, member.without, found.left) >= EXPLAINED
 
 
 def _left(found: Explanation) -> dict[str, Any]:
