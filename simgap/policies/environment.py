@@ -109,14 +109,14 @@ class LearntSpot:
 
     def reset(self, key: PRNGKeyArray) -> Situation:
         """See `Environment`."""
-        key_state, key_past, key_goal, key_particle = jax.random.split(key, 4)
         b, far, (lowest, highest) = self.box, self.config.goal_distance, self.config.goal_height
-        state = from_body(jax.random.uniform(key_state, (12,), minval=b.state_low, maxval=b.state_high))
-        past = jax.random.uniform(key_past, (HISTORY, 6), minval=b.command_low, maxval=b.command_high)
-        about = state[6:9].at[2].set(0.0)
-        corners = jnp.array([[-far, -far, lowest], [far, far, highest]])
-        goal = about + jax.random.uniform(key_goal, (3,), minval=corners[0], maxval=corners[1])
-        return Situation(state, past, goal, jax.random.uniform(key_particle))
+        low = jnp.concatenate([b.state_low, b.command_low, b.command_low, jnp.array([-far, -far, lowest, 0.0])])
+        high = jnp.concatenate([b.state_high, b.command_high, b.command_high, jnp.array([far, far, highest, 1.0])])
+        # Drawn at once: every call of a generator takes its time to compile.
+        drawn = jax.random.uniform(key, low.shape, minval=low, maxval=high)
+        state = from_body(drawn[:12])
+        goal = state[6:9].at[2].set(0.0) + drawn[24:27]
+        return Situation(state, drawn[12:24].reshape(HISTORY, 6), goal, drawn[27])
 
     def observe(self, state: Situation) -> Float[Array, " 24"]:
         """See `Environment`."""
@@ -145,8 +145,13 @@ class LearntSpot:
 
 
 def draw_noise(key: PRNGKeyArray, prediction: Prediction) -> Float[Array, " y"]:
-    """The predictive noise: normal, or of Student's t where its degrees of freedom are finite."""
-    key_normal, key_t = jax.random.split(key)
+    """The predictive noise: Student's t, normal where the degrees of freedom nu are infinite.
+
+    scale sqrt(nu (U^{-2/nu} - 1)) cos(2 pi V) with U, V uniform in (0, 1) [Bailey 1994], whose limit is Box and
+    Muller's sqrt(-2 ln U) cos(2 pi V).
+    """
+    u, v = jax.random.uniform(key, (2, *prediction.scale.shape), minval=jnp.finfo(jnp.float32).tiny)
     gaussian = jnp.isinf(prediction.dof)
-    t = jax.random.t(key_t, jnp.where(gaussian, 1.0, prediction.dof), prediction.scale.shape)
-    return prediction.scale * jnp.where(gaussian, jax.random.normal(key_normal, prediction.scale.shape), t)
+    dof = jnp.where(gaussian, 1.0, prediction.dof)
+    squared = jnp.where(gaussian, -2 * jnp.log(u), dof * jnp.expm1(-2 / dof * jnp.log(u)))
+    return prediction.scale * jnp.sqrt(squared) * jnp.cos(2 * jnp.pi * v)

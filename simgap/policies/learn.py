@@ -147,7 +147,8 @@ def init(key: PRNGKeyArray, environment: Environment, config: Config, sac_config
     key, key_reset, key_clock, key_steps, key_learner = jax.random.split(key, 5)
     state = jax.vmap(environment.reset)(jax.random.split(key_reset, config.environments))
     # Begun at different times, episodes do not all end at once.
-    places = Places(state, jax.random.randint(key_clock, (config.environments,), 0, config.episode_length))
+    clock = jnp.int32(jax.random.uniform(key_clock, (config.environments,)) * config.episode_length)
+    places = Places(state, clock)
 
     def anyhow(observation: Float[Array, "E o"], key: PRNGKeyArray) -> Float[Array, "E a"]:
         return jax.random.uniform(key, (len(observation), environment.action_size), minval=-1.0)

@@ -41,7 +41,8 @@ def add(replay: Replay, new: Experience) -> Replay:
 def sample(replay: Replay, key: PRNGKeyArray, count: int, action_size: int) -> Experience:
     """`count` transitions drawn uniformly, with repetition, from those there are."""
     filled = jnp.minimum(replay.added, len(replay.rows))
-    rows = replay.rows[jax.random.randint(key, (count,), 0, filled)]
+    # Far cheaper than drawing integers, and as uniform as single precision is at 50,000.
+    rows = replay.rows[jnp.int32(jax.random.uniform(key, (count,)) * filled)]
     o = (rows.shape[1] - action_size - 2) // 2
     edges = (o, o + action_size, o + action_size + 1, o + action_size + 2)
     observation, action, reward, discount, following = jnp.split(rows, edges, axis=1)
