@@ -2,13 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-import yaml
 from prefect import flow
 
 from flows import diagnose, recordings, report, score, train, transitions
-from flows.start import PARAMS, guarded
+from flows.start import PARAMS, add_overrides, guarded, read_overrides
 from simgap.types import SimgapError
 from tasks import progress
 from tasks.diagnose import PAGE
@@ -45,12 +43,12 @@ def _main() -> None:
     parser = argparse.ArgumentParser(description=run.__doc__)
     parser.add_argument("source", nargs="?", default="virtual", help="a block of params.yaml's recordings")
     parser.add_argument("--workspace", type=Path, required=True, help="folder for data, models and report")
-    parser.add_argument("--overrides", type=Path, action="append", default=[], help="YAML file merged into params.yaml")
+    add_overrides(parser)
     parser.add_argument("--recordings", type=Path, help="folder that takes the place of the source's own")
     arguments = parser.parse_args()
 
     def work() -> None:
-        overrides: list[dict[str, Any]] = [yaml.safe_load(path.read_text()) for path in arguments.overrides]
+        overrides = read_overrides(arguments)
         if arguments.recordings:
             overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
         run(arguments.source, load_params(PARAMS, *overrides), arguments.workspace)

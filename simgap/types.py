@@ -174,6 +174,7 @@ class Prior(NamedTuple):
 DynamicsModel = Callable[[Float[Array, " x"]], Prediction]
 """A learnt model of the dynamics: one input x to the predictive distribution of y."""
 
+
 class Policy(Protocol):
     """What chooses commands; pure, and a pytree of arrays, so that it runs compiled."""
 

@@ -11,9 +11,7 @@ from simgap.simulators.spot import rotation, to_body
 Layers = list[tuple[Float[Array, "i o"], Float[Array, " o"]]]
 
 
-def observation(
-    state: Float[Array, " 12"], past: Float[Array, "2 6"], goal: Float[Array, " 3"]
-) -> Float[Array, " 24"]:
+def observation(state: Float[Array, " 12"], past: Float[Array, "2 6"], goal: Float[Array, " 3"]) -> Float[Array, " 24"]:
     """s_cond [Hoffman et al. 2025, Policy Learning] as the robot sees it, and the commands that the delay hides.
 
     In the base's frame: its velocity [m/s, m/s, rad/s], the hand from it [m], the hand's velocity [m/s], the goal from

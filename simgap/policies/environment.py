@@ -13,7 +13,7 @@ from simgap.policies import reward
 from simgap.policies.actor import observation
 from simgap.recordings import HISTORY, decode_state, encode_state
 from simgap.simulators.spot import SCHEMA, from_body, to_body
-from simgap.types import Prediction
+from simgap.types import ConfigError, Prediction
 
 
 class Step(NamedTuple):
@@ -62,6 +62,14 @@ class Config:
     goal_height: tuple[float, float]
     noise: float
     escape: float
+
+    def __post_init__(self) -> None:
+        if len(self.command_limit) != len(SCHEMA.command) or min(self.command_limit) <= 0:
+            raise ConfigError(f"command_limit is {self.command_limit}; it must be 6 numbers above 0.")
+        if self.goal_height[0] > self.goal_height[1] or self.goal_distance <= 0:
+            raise ConfigError("goals must lie at a distance above 0, between a lowest and a highest goal_height.")
+        if self.noise < 0 or self.escape < 1:
+            raise ConfigError(f"noise is {self.noise} and escape {self.escape}; they must be at least 0 and 1.")
 
 
 class Box(NamedTuple):

@@ -61,8 +61,8 @@ def follow(robot: Robot, policy: Policy, reference: Float[np.ndarray, "T 3"], bo
             past = np.stack([*past[1:], commands[-1]]).astype(np.float32)
     finally:
         robot.stop()
-    shape = (len(states), -1)
-    return Run(np.reshape(states, (*shape[:1], 12)), np.reshape(commands, (*shape[:1], 6)), goals[: len(states)], stopped)
+    rows = len(states)
+    return Run(np.reshape(states, (rows, 12)), np.reshape(commands, (rows, 6)), goals[:rows], stopped)
 
 
 def mean_error(run: Run) -> float:

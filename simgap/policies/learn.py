@@ -1,19 +1,20 @@
 """A policy learnt in an environment: act, remember, update, evaluate; interrupted, it goes on to the same result."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from simgap.policies import replay, sac
 from simgap.policies.actor import Layers
 from simgap.policies.environment import Environment
 from simgap.policies.replay import Experience, Replay
-from simgap.types import DivergenceError, Report
+from simgap.types import ConfigError, DivergenceError, Report
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,19 @@ class Config:
     evaluation_environments: int
     plateau: int
     plateau_gain: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            least = 0 if field.name in ("plateau", "plateau_gain") else 1
+            if getattr(self, field.name) < least:
+                raise ConfigError(f"{field.name} is {getattr(self, field.name)}; it must be at least {least}.")
+        if self.max_replay < max(self.prefill_steps * self.environments, self.cycle_steps):
+            raise ConfigError(f"max_replay is {self.max_replay}; it must hold min_replay steps, and those of a cycle.")
+        if self.environment_steps < self.prefill_steps * self.environments + self.evaluations * self.cycle_steps:
+            raise ConfigError(
+                f"environment_steps is {self.environment_steps}; it must be enough for min_replay steps and, before "
+                f"each of the {self.evaluations} evaluations, a cycle of {self.cycle_steps}."
+            )
 
     @property
     def cycle_steps(self) -> int:
@@ -66,10 +80,12 @@ class Places(NamedTuple):
 class Training(NamedTuple):
     """All that learning remembers between evaluations; `returns` holds those evaluated, NaN where none is yet.
 
-    `best` is the policy, with the best return so far, that the result is made of.
+    `best` is the policy, with the best return so far, that the result is made of. Every evaluation draws the same
+    starts and noise, from `key_evaluation`.
     """
 
     key: PRNGKeyArray
+    key_evaluation: PRNGKeyArray
     learner: sac.Learner
     memory: Replay
     places: Places
@@ -115,6 +131,32 @@ def learn(
     return Learnt(training.best, training.mean, training.std)
 
 
+def to_arrays(training: Training) -> dict[str, np.ndarray]:
+    """All of it as named arrays, to be written to a file."""
+    leaves = jax.tree.leaves(_plain(training))
+    return {f"leaf_{i:02}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
+
+
+def from_arrays(
+    arrays: Mapping[str, np.ndarray], environment: Environment, config: Config, sac_config: sac.Config
+) -> Training:
+    """What `to_arrays` made; ValueError where it was made with other sizes."""
+    shape = jax.eval_shape(lambda key: init(key, environment, config, sac_config), jax.random.key(0))
+    expected, structure = jax.tree.flatten(jax.eval_shape(_plain, shape))
+    leaves = [jnp.asarray(arrays[name]) for name in sorted(arrays)]
+    if [leaf.shape for leaf in leaves] != [leaf.shape for leaf in expected]:
+        raise ValueError("its arrays have other shapes than these parameters ask for")
+    training = jax.tree.unflatten(structure, leaves)
+    wrap = jax.random.wrap_key_data
+    return training._replace(key=wrap(training.key), key_evaluation=wrap(training.key_evaluation))
+
+
+def _plain(training: Training) -> Training:
+    """Its keys as the numbers they are."""
+    plain = jax.random.key_data
+    return training._replace(key=plain(training.key), key_evaluation=plain(training.key_evaluation))
+
+
 def evaluated(training: Training) -> int:
     """How many evaluations lie behind."""
     return int(jnp.sum(jnp.isfinite(training.returns)))
@@ -144,7 +186,7 @@ def _check(steps: int, metrics: dict[str, float]) -> None:
 @partial(jax.jit, static_argnames=("config", "sac_config"))
 def init(key: PRNGKeyArray, environment: Environment, config: Config, sac_config: sac.Config) -> Training:
     """Untrained networks, and a memory of random actions, whose observations give the normalisation."""
-    key, key_reset, key_clock, key_steps, key_learner = jax.random.split(key, 5)
+    key, key_evaluation, key_reset, key_clock, key_steps, key_learner = jax.random.split(key, 6)
     state = jax.vmap(environment.reset)(jax.random.split(key_reset, config.environments))
     # Begun at different times, episodes do not all end at once.
     clock = jnp.int32(jax.random.uniform(key_clock, (config.environments,)) * config.episode_length)
@@ -160,8 +202,8 @@ def init(key: PRNGKeyArray, environment: Environment, config: Config, sac_config
     learner = sac.init(key_learner, shapes)
     memory = replay.init(config.max_replay, len(mean), environment.action_size)
     memory = replay.add(memory, _normalised(seen, mean, std))
-    returns = jnp.full(config.evaluations, jnp.nan)
-    return Training(key, learner, memory, places, mean, std, returns, sac.actor_layers(learner.weights, shapes))
+    best, returns = sac.actor_layers(learner.weights, shapes), jnp.full(config.evaluations, jnp.nan)
+    return Training(key, key_evaluation, learner, memory, places, mean, std, returns, best)
 
 
 @partial(jax.jit, static_argnames=("config", "sac_config"), donate_argnums=0)
@@ -171,7 +213,7 @@ def advance(
     """The cycles up to the next evaluation, and that evaluation."""
     mean, std = training.mean, training.std
     shapes = sac.networks(len(mean), environment.action_size, sac_config)
-    key, key_cycles, key_evaluation = jax.random.split(training.key, 3)
+    key, key_cycles = jax.random.split(training.key)
 
     def cycle(
         carry: tuple[sac.Learner, Replay, Places], key: PRNGKeyArray
@@ -199,12 +241,13 @@ def advance(
     keys = jax.random.split(key_cycles, config.cycles_per_evaluation)
     (learner, memory, places), _ = jax.lax.scan(cycle, (training.learner, training.memory, training.places), keys)
     layers = sac.actor_layers(learner.weights, shapes)
-    gained, lost = evaluate(Learnt(layers, mean, std), environment, key_evaluation, config)
+    gained, lost = evaluate(Learnt(layers, mean, std), environment, training.key_evaluation, config)
     better = ~(jnp.nanmax(training.returns) >= gained)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), layers, training.best)
     returns = training.returns.at[evaluation].set(gained)
     metrics = {"return": gained, "lost": lost, "temperature": jnp.exp(learner.weights[-1])}
-    return Training(key, learner, memory, places, mean, std, returns, best), metrics
+    after = Training(key, training.key_evaluation, learner, memory, places, mean, std, returns, best)
+    return after, metrics
 
 
 def evaluate(

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from simgap.types import ConfigError
+
 
 @dataclass(frozen=True)
 class Config:
@@ -26,6 +28,14 @@ class Config:
     state_weight: float
     arm_weight: float
     action_weight: float
+
+    def __post_init__(self) -> None:
+        for name in ("state_margin", "arm_margin"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must be above 0.")
+        for name in ("state_value", "arm_value"):
+            if not 0 < getattr(self, name) < 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must lie between 0 and 1.")
 
 
 def long_tailed_sigmoid(x: Float[Array, ""], margin: float, value: float) -> Float[Array, ""]:

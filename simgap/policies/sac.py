@@ -8,6 +8,7 @@ each blind to the weights that are not its own. All losses are taken at the weig
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -17,6 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from simgap.policies.actor import Layers, perceptron
 from simgap.policies.replay import Experience
+from simgap.types import ConfigError
 
 _MIN_STD = 1e-3
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-8  # Adam's
@@ -40,6 +42,18 @@ class Config:
     target_entropy: float
     policy_hidden_layers: tuple[int, ...]
     critic_hidden_layers: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("learning_rate_alpha", "learning_rate_policy", "learning_rate_q", "max_gradient_norm",
+                     "batch_size"):  # fmt: skip
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must be above 0.")
+        for name in ("discounting", "tau"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must lie above 0 and be at most 1.")
+        for name in ("policy_hidden_layers", "critic_hidden_layers"):
+            if not getattr(self, name) or min(getattr(self, name)) < 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must be a list of at least one width.")
 
 
 class Networks(NamedTuple):
@@ -76,7 +90,7 @@ class Learner(NamedTuple):
 def networks(observation_size: int, action_size: int, config: Config) -> Networks:
     """The shapes; critics side by side in the first layer, one above the other in the rest."""
     sizes = (observation_size, *config.policy_hidden_layers, 2 * action_size)
-    actor = [shape for i, o in zip(sizes[:-1], sizes[1:], strict=True) for shape in ((i, o), (o,))]
+    actor = [shape for i, o in pairwise(sizes) for shape in ((i, o), (o,))]
     first, *rest = config.critic_hidden_layers
     critics: list[tuple[int, ...]] = [(observation_size + action_size, 2 * first), (2 * first,)]
     for i, o in zip((first, *rest), (*rest, 1), strict=True):

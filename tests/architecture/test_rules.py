@@ -13,7 +13,7 @@ PACKAGES = ("simgap", "tasks", "flows")
 DOORS = {
     "mlflow": {"tasks/tracking.py"},
     "matplotlib": {"tasks/plots.py", "tasks/diagnosis_plots.py"},
-    "yaml": {"tasks/params.py", "flows/provenance.py", "flows/reproduce.py"},
+    "yaml": {"tasks/params.py", "flows/provenance.py", "flows/start.py"},
 }
 
 

@@ -1,8 +1,6 @@
 """The paper's task in the true kinematic model, and learning in a small size."""
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from simgap.models import FittedSpot
 from simgap.policies import environment, learn, reward, sac
@@ -11,7 +9,8 @@ from simgap.simulators.spot import SCHEMA
 
 LIMIT = (1.0, 0.8, 1.0, 0.8, 0.8, 0.8)
 REWARD = reward.Config(state_bound=0.15, state_margin=1.5, state_value=0.1, arm_length=1.3, arm_margin=1.3,
-                       arm_value=0.1, base_cost=2.0, ee_cost=0.5, state_weight=1.5, arm_weight=0.01, action_weight=0.1)  # fmt: skip
+                       arm_value=0.1, base_cost=2.0, ee_cost=0.5, state_weight=1.5, arm_weight=0.01,
+                       action_weight=0.1)  # fmt: skip
 ENVIRONMENT = environment.Config(
     reward=REWARD, command_limit=LIMIT, goal_distance=1.0, goal_height=(0.2, 1.0), noise=1.0, escape=20.0
 )
@@ -42,11 +41,3 @@ def kinematic(scale: float = 0.002) -> FittedSpot:
 def spot(model: FittedSpot) -> LearntSpot:
     """The environment of a model."""
     return LearntSpot(model, BOX, ENVIRONMENT)
-
-
-def leaves(tree: object) -> list[Array]:
-    """Its arrays, keys as the numbers they are."""
-    return [
-        jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf
-        for leaf in jax.tree.leaves(tree)
-    ]

@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import LEARN, LIMIT, SAC, kinematic, leaves, spot
+from small import LEARN, LIMIT, SAC, kinematic, spot
 
 from simgap.policies import learn
 from simgap.policies.actor import Actor
-from simgap.policies.learn import Training
 from simgap.types import DivergenceError
 
 
@@ -44,20 +43,22 @@ def test_a_policy_learnt_in_the_kinematic_model_reaches_its_goal_there() -> None
 
 def test_interrupted_learning_goes_on_to_the_same_result() -> None:
     env = spot(kinematic())
-    kept: list[Training] = []
-    whole = learn.learn(jax.random.key(1), env, LEARN, SAC, ignore, keep=lambda t: kept.append(jax.tree.map(jnp.copy, t)))
+    kept: list[dict[str, np.ndarray]] = []
+    keep = lambda training: kept.append(learn.to_arrays(jax.tree.map(jnp.copy, training)))  # noqa: E731
+    whole = learn.learn(jax.random.key(1), env, LEARN, SAC, ignore, keep=keep)
     assert len(kept) == LEARN.evaluations
     reports: list[int] = []
-    resumed = learn.learn(jax.random.key(7), env, LEARN, SAC, lambda step, _: reports.append(step), resumed=kept[0])
-    for ours, theirs in zip(leaves(resumed), leaves(whole), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    first = learn.from_arrays(kept[0], env, LEARN, SAC)
+    resumed = learn.learn(jax.random.key(7), env, LEARN, SAC, lambda step, _: reports.append(step), first)
+    jax.tree.map(np.testing.assert_array_equal, resumed, whole)
     assert reports == [1152, 1600], "what lies behind is not done again"
 
 
 def test_a_model_that_explodes_is_told_as_such() -> None:
     """A base that moves by 50 m a step leaves what is known at once."""
     model = kinematic()
-    with pytest.raises(DivergenceError, match=r"100% of the episodes left what the model knows at environment step 704"):
+    told = "100% of the episodes left what the model knows at environment step 704"
+    with pytest.raises(DivergenceError, match=told):
         learn.learn(jax.random.key(0), spot(model._replace(params=model.params.at[9].set(50.0))), LEARN, SAC, ignore)
 
 

@@ -48,8 +48,8 @@ class LinearQuadratic:
         return Step(following, -cost, jnp.bool_(False))
 
 
-Q, R, GAMMA = jnp.diag(jnp.array([10.0, 1.0])), 1.0, CONFIG.discounting
-TASK = LinearQuadratic(jnp.array([[1.0, 0.2], [0.0, 1.0]]), jnp.array([[0.02], [0.2]]))
+Q, R, GAMMA = jnp.diag(jnp.array([5.0, 0.5])), 0.5, CONFIG.discounting
+TASK = LinearQuadratic(jnp.array([[0.95, 0.2], [0.0, 0.9]]), jnp.array([[0.02], [0.2]]))
 
 
 def riccati() -> np.ndarray:
@@ -82,9 +82,9 @@ def test_a_linear_quadratic_task_is_solved_as_riccati_does() -> None:
     K = jnp.asarray(riccati(), jnp.float32)
     optimal = mean_return(lambda x: jnp.clip(-K @ x / 2, -1, 1))
     ours = mean_return(lambda x: sac.exploit(learnt.layers, (x - learnt.mean) / learnt.std))
-    nothing = mean_return(lambda x: jnp.zeros(1))
+    nothing = mean_return(lambda _: jnp.zeros(1))
     assert nothing < 3 * optimal, "the task must reward control"
-    assert ours > 1.15 * optimal
+    assert ours > 1.08 * optimal
     assert len(curve) == LEARN.evaluations
     starts = jax.vmap(TASK.reset)(jax.random.split(jax.random.key(3), 200)) / 4  # where no action is clipped
     actions = jax.vmap(lambda x: 2 * sac.exploit(learnt.layers, (x - learnt.mean) / learnt.std))(starts)
