@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from simgap.models import Model, predict
@@ -50,6 +51,8 @@ class Config:
     """Of `LearntSpot`.
 
     reward: the paper's. command_limit: greatest command [m/s, m/s, rad/s, m/s, m/s, m/s], what an action of 1 commands.
+    start_motion: share of the box's velocities and commands that an episode begins with [-]; a whole box has corners
+    that no recording comes near.
     goal_distance: greatest distance along x and along y between the hand at the start and the goal [m]; goal_height:
     lowest and highest goal above the floor [m]. noise: the predictive noise is drawn, times this [-]; with 0 every
     particle is followed in its mean. escape: an episode is lost once the robot leaves the box of the recordings by this
@@ -58,6 +61,7 @@ class Config:
 
     reward: reward.Config
     command_limit: tuple[float, ...]
+    start_motion: float
     goal_distance: float
     goal_height: tuple[float, float]
     noise: float
@@ -68,6 +72,8 @@ class Config:
             raise ConfigError(f"command_limit is {self.command_limit}; it must be 6 numbers above 0.")
         if self.goal_height[0] > self.goal_height[1] or self.goal_distance <= 0:
             raise ConfigError("goals must lie at a distance above 0, between a lowest and a highest goal_height.")
+        if not 0 <= self.start_motion <= 1:
+            raise ConfigError(f"start_motion is {self.start_motion}; it must lie between 0 and 1.")
         if self.noise < 0 or self.escape < 1:
             raise ConfigError(f"noise is {self.noise} and escape {self.escape}; they must be at least 0 and 1.")
 
@@ -86,6 +92,9 @@ def box(x: Float[Array, "n 31"]) -> Box:
     states = jax.vmap(lambda x: to_body(decode_state(SCHEMA, x[: len(SCHEMA.encoded)])))(jnp.asarray(x))
     commands = jnp.asarray(x)[:, -len(SCHEMA.command) :]
     return Box(states.min(0), states.max(0), commands.min(0), commands.max(0))
+
+
+_VELOCITIES = np.array([field.kind == "velocity" for field in SCHEMA.state])
 
 
 class Situation(NamedTuple):
@@ -118,10 +127,12 @@ class LearntSpot:
     def reset(self, key: PRNGKeyArray) -> Situation:
         """See `Environment`."""
         b, far, (lowest, highest) = self.box, self.config.goal_distance, self.config.goal_height
+        slow = self.config.start_motion
+        share = jnp.concatenate([jnp.where(_VELOCITIES, slow, 1.0), jnp.full(HISTORY * 6, slow), jnp.ones(4)])
         low = jnp.concatenate([b.state_low, b.command_low, b.command_low, jnp.array([-far, -far, lowest, 0.0])])
         high = jnp.concatenate([b.state_high, b.command_high, b.command_high, jnp.array([far, far, highest, 1.0])])
         # Drawn at once: every call of a generator takes its time to compile.
-        drawn = jax.random.uniform(key, low.shape, minval=low, maxval=high)
+        drawn = jax.random.uniform(key, low.shape, minval=share * low, maxval=share * high)
         state = from_body(drawn[:12])
         goal = state[6:9].at[2].set(0.0) + drawn[24:27]
         return Situation(state, drawn[12:24].reshape(HISTORY, 6), goal, drawn[27])

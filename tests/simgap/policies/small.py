@@ -12,7 +12,13 @@ REWARD = reward.Config(state_bound=0.15, state_margin=1.5, state_value=0.1, arm_
                        arm_value=0.1, base_cost=2.0, ee_cost=0.5, state_weight=1.5, arm_weight=0.01,
                        action_weight=0.1)  # fmt: skip
 ENVIRONMENT = environment.Config(
-    reward=REWARD, command_limit=LIMIT, goal_distance=1.0, goal_height=(0.2, 1.0), noise=1.0, escape=20.0
+    reward=REWARD,
+    command_limit=LIMIT,
+    start_motion=1.0,
+    goal_distance=1.0,
+    goal_height=(0.2, 1.0),
+    noise=1.0,
+    escape=20.0,
 )
 SAC = sac.Config(
     learning_rate_alpha=3e-3, learning_rate_policy=1e-3, learning_rate_q=1e-3, max_gradient_norm=100.0,
