@@ -16,9 +16,6 @@ from simgap.policies.environment import Environment
 from simgap.policies.replay import Experience, Replay
 from simgap.types import ConfigError, DivergenceError, Report
 
-_LOST_AT_MOST = 0.9
-"""Share of episodes beyond which a model is no world to learn in; below it, the share is told with the results."""
-
 
 @dataclass(frozen=True)
 class Config:
@@ -119,7 +116,7 @@ def learn(
 
     `report(step, metrics)` tells environment steps, return and share of episodes lost after every evaluation;
     `keep(training)` is given all that is needed to go on from there, as `resumed`, to the same result. Raises
-    DivergenceError when weights or returns are not finite, or when nearly all episodes leave what is known.
+    DivergenceError when weights or returns are not finite, or when every episode leaves what is known.
     """
     training = init(key, environment, config, sac_config) if resumed is None else resumed
     for k in range(evaluated(training), config.evaluations):
@@ -179,10 +176,10 @@ def _check(steps: int, metrics: dict[str, float]) -> None:
             f"the policy left the finite numbers before environment step {steps:,} ({metrics}). "
             "Lower policy.sac's learning rates or max_gradient_norm."
         )
-    if metrics["lost"] > _LOST_AT_MOST:
+    if metrics["lost"] == 1.0:
         raise DivergenceError(
-            f"{metrics['lost']:.0%} of the episodes left what the model knows at environment step {steps:,}: its "
-            "rollouts explode. Train the model on more transitions, or raise policy.environment.escape."
+            f"every episode had left what the model knows at environment step {steps:,}: its rollouts explode. "
+            "Train the model on more transitions, or raise policy.environment.escape."
         )
 
 
