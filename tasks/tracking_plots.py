@@ -89,7 +89,7 @@ def trajectories_3d(path: Path, runs: Runs, shape: str, dpi: int) -> None:
 
 def animate(path: Path, run: Run, title: str) -> None:
     """A GIF of a run, from above and from the side: base, arm, the hand's trail, the goal."""
-    figure, axes = plt.subplots(1, 2, figsize=(8.0, 3.8), layout="constrained")
+    figure, axes = plt.subplots(2, 1, figsize=(7.0, 5.0), layout="constrained")
     figure.suptitle(title, fontsize="medium")
     drawn = []
     for ax, (i, j) in zip(axes, ((0, 1), (0, 2)), strict=True):
