@@ -1,14 +1,13 @@
 """All stages in order, outside DVC: in a small size (`make run`), with other parameters, in a workspace of its own."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import yaml
 from prefect import flow
 
-from flows import diagnose, recordings, report, score, train, transitions
-from flows.start import PARAMS, guarded
+from flows import diagnose, policy, recordings, report, score, track, train, transitions
+from flows.start import PARAMS, add_overrides, guarded, read_overrides
 from simgap.types import SimgapError
 from tasks import progress
 from tasks.diagnose import PAGE
@@ -21,36 +20,42 @@ def run(source: str, params: Params, root: Path) -> None:
     """Recordings to report and diagnosis in the folder `root`; cells that failed are told once the rest is done."""
     recordings.run(source, params, root)
     transitions.run(source, params, root)
-    failure: SimgapError | None = None
-    try:
-        train.run(source, params, root)
-    except SimgapError as error:
-        failure = error
-        progress.say(f"error: {error}\nScores and report follow for what there is.")
+    failures: list[SimgapError] = []
+
+    def attempt(stage: Callable[..., None]) -> None:
+        try:
+            stage(source, params, root)
+        except SimgapError as error:
+            failures.append(error)
+            progress.say(f"error: {error}\nThe rest follows for what there is.")
+
+    attempt(train.run)
     score.run(source, params, root)
     report.run(source, params, root)
+    attempt(policy.run)
+    attempt(track.run)
     diagnose.run(source, params, root)
     workspace = Workspace(root, source)
     progress.say(
         f"\nreport     {workspace.reports / 'report.md'}\nfigures    {workspace.reports}\n"
-        f"diagnosis  {workspace.diagnosis / PAGE}\n"
+        f"tracking   {workspace.tracking / 'report.md'}\ndiagnosis  {workspace.diagnosis / PAGE}\n"
         "MLflow     .venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db   "
-        "(experiments model-validation and diagnosis)"
+        "(experiments model-validation, policies and diagnosis)"
     )
-    if failure:
-        raise failure
+    if failures:
+        raise failures[0]
 
 
 def _main() -> None:
     parser = argparse.ArgumentParser(description=run.__doc__)
     parser.add_argument("source", nargs="?", default="virtual", help="a block of params.yaml's recordings")
     parser.add_argument("--workspace", type=Path, required=True, help="folder for data, models and report")
-    parser.add_argument("--overrides", type=Path, action="append", default=[], help="YAML file merged into params.yaml")
+    add_overrides(parser)
     parser.add_argument("--recordings", type=Path, help="folder that takes the place of the source's own")
     arguments = parser.parse_args()
 
     def work() -> None:
-        overrides: list[dict[str, Any]] = [yaml.safe_load(path.read_text()) for path in arguments.overrides]
+        overrides = read_overrides(arguments)
         if arguments.recordings:
             overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
         run(arguments.source, load_params(PARAMS, *overrides), arguments.workspace)

@@ -174,5 +174,41 @@ class Prior(NamedTuple):
 DynamicsModel = Callable[[Float[Array, " x"]], Prediction]
 """A learnt model of the dynamics: one input x to the predictive distribution of y."""
 
+
+class Policy(Protocol):
+    """What chooses commands; pure, and a pytree of arrays, so that it runs compiled."""
+
+    def command(
+        self, state: Float[Array, " s"], past: Float[Array, "2 u"], goal: Float[Array, " 3"]
+    ) -> Float[Array, " u"]:
+        """The command on measuring a state, after the commands u_{t-2} and u_{t-1}, the hand's goal [m] being given."""
+        ...
+
+
+class Robot(Protocol):
+    """What a policy is run on: the virtual Spot, or a real one behind its own interface."""
+
+    @property
+    def time_step(self) -> float:
+        """Time between commands [s]."""
+        ...
+
+    def reset(self) -> None:
+        """Make ready for a run: standing still, the arm at rest before it."""
+        ...
+
+    def observe(self) -> Float[np.ndarray, " s"]:
+        """The state as measured now, in the columns of the schema."""
+        ...
+
+    def command(self, command: Float[np.ndarray, " u"]) -> Float[np.ndarray, " u"]:
+        """Send a command for one time step; returns it as the robot admits it, clipped to its limits."""
+        ...
+
+    def stop(self) -> None:
+        """Stand still at once; the run is over."""
+        ...
+
+
 Report = Callable[[int, dict[str, float]], None]
 """`report(step, metrics)`: how long work tells its caller of progress, on the host, between compiled chunks."""

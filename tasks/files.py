@@ -25,6 +25,7 @@ from jaxtyping import Float
 
 from simgap.effects.effect import Scales
 from simgap.models import BNN, FittedSimulator, FittedSpot, Model
+from simgap.policies.actor import Actor
 from simgap.recordings import Normalisation, check_recording
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
@@ -422,6 +423,31 @@ def _bnn(arrays: dict[str, np.ndarray]) -> BNN:
     particles = [(arrays.pop(f"weight_{i}"), arrays.pop(f"bias_{i}")) for i in range(layers)]
     stats = Normalisation(*(arrays.pop(name) for name in Normalisation._fields))  # type: ignore[arg-type]
     return BNN(particles, normalisation=stats, **arrays)  # type: ignore[arg-type]
+
+
+def save_policy(path: Path, policy: Actor) -> None:
+    """Write a policy as `.npz`: `weight_0`, `bias_0`, `weight_1`..., `mean` and `std` of observations, its `limit`."""
+    layers = {
+        f"{part}_{i}": array
+        for i, layer in enumerate(policy.layers)
+        for part, array in zip(("weight", "bias"), layer, strict=True)
+    }
+    arrays = {"kind": Actor.__name__, **layers, "mean": policy.mean, "std": policy.std, "limit": policy.limit}
+    save_arrays(path, {name: np.asarray(array) for name, array in arrays.items()})
+
+
+def load_policy(path: Path) -> Actor:
+    """The policy that `save_policy` wrote, bit for bit, its arrays numpy's; SimgapError when the file holds none."""
+    arrays = load_arrays(path)
+    kind = str(arrays.pop("kind", "none"))
+    try:
+        if kind != Actor.__name__:
+            raise ValueError(f"its kind is {kind[:_TEXT_SHOWN]!r}")
+        count = sum(name.startswith("weight_") for name in arrays)
+        layers = [(arrays.pop(f"weight_{i}"), arrays.pop(f"bias_{i}")) for i in range(count)]
+        return Actor(layers, **arrays)  # type: ignore[arg-type]  # numpy's arrays serve as jax's
+    except (KeyError, TypeError, ValueError) as error:
+        raise SimgapError(f"{path}: holds no policy of this version ({error}). Run the stage `policy`.") from None
 
 
 def augmented_arrays(simulator: AugmentedSimulator) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import simgap
-from tasks.params import TrainParams
+from tasks.params import PolicyParams, TrainParams
 from tasks.workspace import Cell, Share
 
 TRAINING = ("simgap.learn",)
@@ -18,6 +18,8 @@ AUGMENTED = (*TRAINING, "simgap.simulators.augmented")
 """The same for models that are given a diagnosed simulator."""
 DIAGNOSIS = ("simgap.diagnosis.explain",)
 """Where the code that finds effects begins."""
+POLICY = ("simgap.policies.learn", "simgap.policies.environment", "simgap.policies.actor")
+"""Where the code that learns a policy begins."""
 
 
 class Codes(NamedTuple):
@@ -53,6 +55,17 @@ def fingerprint(
 def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
     """Identifies what the diagnosis of a share of the recordings depends on."""
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})
+
+
+def of_policy(cell: Cell, model: str, data_digest: str, params: PolicyParams, code: str) -> str:
+    """Identifies what a policy depends on; `model`: the fingerprint of the model it learns in."""
+    relevant = {"model": model, "data": data_digest, "params": relevant_policy_params(params), "code": code}
+    return _mark({"cell": cell, **relevant})
+
+
+def relevant_policy_params(params: PolicyParams) -> dict[str, Any]:
+    """The share of the parameters that a policy depends on."""
+    return {name: asdict(getattr(params, name)) for name in ("environment", "learning", "sac")}
 
 
 def _mark(relevant: dict[str, Any]) -> str:

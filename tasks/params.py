@@ -9,6 +9,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from simgap import fsvgd, identify, priors
+from simgap.policies import environment, follow, learn, references, sac
 from simgap.types import ConfigError
 
 ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
@@ -18,14 +19,19 @@ Count = Annotated[int, Field(ge=1)]
 
 
 def _known_keys(config: type) -> Callable[[Any], Any]:
-    """A dataclass of `simgap` ignores unknown keys when validated; here they are refused."""
+    """A dataclass of `simgap` ignores unknown keys when validated; here they are refused, in those within it too."""
     names = {f.name for f in dataclasses.fields(config)}
+    within = {f.name: _known_keys(f.type) for f in dataclasses.fields(config)
+              if isinstance(f.type, type) and dataclasses.is_dataclass(f.type)}  # fmt: skip
 
     def check(value: Any) -> Any:
-        if isinstance(value, Mapping) and set(value) - names:
-            raise ValueError(
-                f"unknown key {', '.join(sorted(set(value) - names))}; known are {', '.join(sorted(names))}"
-            )
+        if isinstance(value, Mapping):
+            if set(value) - names:
+                raise ValueError(
+                    f"unknown key {', '.join(sorted(set(value) - names))}; known are {', '.join(sorted(names))}"
+                )
+            for name in within.keys() & value.keys():
+                within[name](value[name])
         return value
 
     return check
@@ -77,6 +83,36 @@ class ReportParams(_Block):
     figure_dpi: Count
 
 
+class PolicyParams(_Block):
+    noise: NoiseName = Field(description="Family of the likelihood of the models that policies learn in.")
+    models: list[ModelName] = Field(min_length=1)
+    sample_sizes: list[Annotated[int, Field(ge=20)]] = Field(min_length=1, description="N, of the models.")
+    seeds: list[Annotated[int, Field(ge=0)]] = Field(min_length=1)
+    workers: Count = Field(description="Policies learnt side by side.")
+    environment: Annotated[environment.Config, BeforeValidator(_known_keys(environment.Config))]
+    learning: Annotated[learn.Config, BeforeValidator(_known_keys(learn.Config))]
+    sac: Annotated[sac.Config, BeforeValidator(_known_keys(sac.Config))]
+
+
+class ProportionalParams(_Block):
+    """What policies are compared with, a controller for every gain."""
+
+    gains: list[Positive] = Field(description="Of the hand [1/s].")
+    base_gain: Positive = Field(description="Of the base [1/s].")
+    rest: tuple[float, float, float] = Field(description="Where the base would have the hand, in its frame [m].")
+
+
+class TrackParams(_Block):
+    seed: int = Field(ge=0, description="Seed of the robot's noise.")
+    robot_limit: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = Field(
+        description="Greatest commands that the robot admits."
+    )
+    ellipse: Annotated[references.Ellipse, BeforeValidator(_known_keys(references.Ellipse))]
+    helix: Annotated[references.Helix, BeforeValidator(_known_keys(references.Helix))]
+    bounds: Annotated[follow.Bounds, BeforeValidator(_known_keys(follow.Bounds))]
+    proportional: ProportionalParams
+
+
 class DiagnoseParams(_Block):
     seed: int = Field(ge=0, description="Seed of what is drawn: resampled sessions, simulated data, the black box.")
 
@@ -89,6 +125,8 @@ class Params(_Block):
     train: TrainParams
     score: ScoreParams
     report: ReportParams
+    policy: PolicyParams
+    track: TrackParams
     diagnose: DiagnoseParams
 
     def source(self, name: str) -> VirtualParams | FolderParams:

@@ -21,7 +21,7 @@ LABELS = {
 }
 NOISES = {"gaussian": "Gaussian noise (the paper's)", "student_t": "Student's t noise"}
 # Colour, marker, line; a model that is given a diagnosis in the hue of its twin, dashed, its markers hollow.
-_STYLE = {
+STYLE = {
     "sim_model": ("#7f7f7f", "s", "-"),
     "sim_model_diagnosed": ("#4a4a4a", "s", "--"),
     "fsvgd": ("#d1722d", "^", "-"),
@@ -40,7 +40,7 @@ def against_n(
     """
     figure, axes = plt.subplots(1, len(panels), figsize=(4.6 * len(panels), 3.8), squeeze=False, layout="constrained")
     for ax, (noise, score, label) in zip(axes[0], panels, strict=True):
-        _panel(ax, [r for r in rows if r["noise"] == noise], score)
+        seeds_and_spread(ax, [r for r in rows if r["noise"] == noise], score)
         ax.set(xlabel="transitions N", ylabel=label, title=NOISES[noise])
     figure.legend(
         *axes[0][0].get_legend_handles_labels(),
@@ -55,12 +55,13 @@ def against_n(
     plt.close(figure)
 
 
-def _panel(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:
+def seeds_and_spread(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:
+    """Mean over seeds with its spread (one std) by model and N, and every seed as a dot."""
     sizes = sorted({r["sample_size"] for r in rows})
     shift = _JITTER * (max(sizes) - min(sizes) or 1)
     models = [model for model in LABELS if any(r["model"] == model for r in rows)]
     for k, model in enumerate(models):
-        colour, marker, line = _STYLE[model]
+        colour, marker, line = STYLE[model]
         groups = [(n, [r[score] for r in rows if r["model"] == model and r["sample_size"] == n]) for n in sizes]
         groups = [(n, values) for n, values in groups if values]
         x = [n + (k - (len(models) - 1) / 2) * shift for n, _ in groups]

@@ -32,7 +32,7 @@ from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
 
 from simgap.types import SimgapError
-from tasks import pyfunc
+from tasks import policy_pyfunc, pyfunc
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -169,6 +169,16 @@ class Run:
 
         A table of `columns_in` goes in, one of `mean_<output>` and `std_<output>` comes out; see `tasks.pyfunc`.
         """
+        predicted = [f"{moment}_{name}" for moment in ("mean", "std") for name in columns_out]
+        return self._pyfunc(pyfunc.__name__, model_path, pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out]),
+                            predicted)  # fmt: skip
+
+    def policy(self, policy_path: Path, columns_in: Sequence[str], columns_out: Sequence[str]) -> str:
+        """A file of `files.save_policy`, as a model from `columns_in` to `columns_out`; see `tasks.policy_pyfunc`."""
+        columns = pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
+        return self._pyfunc(policy_pyfunc.__name__, policy_path, columns, columns_out)
+
+    def _pyfunc(self, loader: str, path: Path, columns: pyfunc.Columns, predicted: Sequence[str]) -> str:
         # MLflow's own `log_model` writes to the global tracking URI; these are its steps, with the store named.
         client = self.store.client
         logged = client.create_logged_model(
@@ -176,7 +186,7 @@ class Run:
         )
         description = Model(logged.artifact_location, self.run_id, model_id=logged.model_id)
         with tempfile.TemporaryDirectory() as scratch:
-            _save_pyfunc(Path(scratch) / MODEL, model_path, description, columns_in, columns_out)
+            _save_pyfunc(Path(scratch) / MODEL, loader, path, description, columns, predicted)
             client.log_model_artifacts(logged.model_id, str(Path(scratch) / MODEL))
         client.finalize_logged_model(logged.model_id, "READY")
         client.log_outputs(self.run_id, [LoggedModelOutput(logged.model_id, step=0)])
@@ -184,17 +194,17 @@ class Run:
 
 
 def _save_pyfunc(
-    path: Path, model_path: Path, description: Model, columns_in: Sequence[str], columns_out: Sequence[str]
+    path: Path, loader: str, data: Path, description: Model, columns: pyfunc.Columns, predicted: Sequence[str]
 ) -> None:
-    columns_predicted = [f"{moment}_{name}" for moment in ("mean", "std") for name in columns_out]
+    inputs = columns["inputs"]
     mlflow.pyfunc.save_model(
         path,
-        loader_module=pyfunc.__name__,
-        data_path=model_path,
-        model_config=dict(pyfunc.Columns(inputs=list(columns_in), outputs=list(columns_out))),
+        loader_module=loader,
+        data_path=data,
+        model_config=dict(columns),
         mlflow_model=description,
-        signature=ModelSignature(_numbers(columns_in), _numbers(columns_predicted)),
-        input_example=pd.DataFrame(np.zeros((1, len(columns_in))), columns=list(columns_in)),
+        signature=ModelSignature(_numbers(inputs), _numbers(predicted)),
+        input_example=pd.DataFrame(np.zeros((1, len(inputs))), columns=inputs),
         pip_requirements=_REQUIREMENTS,
     )
 

@@ -65,12 +65,24 @@ class Workspace:
         return self.root / "models" / self.source
 
     @property
+    def policies(self) -> Path:
+        return self.root / "policies" / self.source
+
+    @property
+    def tracks(self) -> Path:
+        return self.root / "tracks" / self.source
+
+    @property
     def scores(self) -> Path:
         return self.root / "scores" / self.source
 
     @property
     def reports(self) -> Path:
         return self.root / "reports" / self.source
+
+    @property
+    def tracking(self) -> Path:
+        return self.reports / "tracking"
 
     @property
     def diagnosis(self) -> Path:
@@ -90,3 +102,19 @@ class Workspace:
     def effects(self, share: Share) -> Path:
         """What is known of that diagnosis: fingerprint, effects, seconds."""
         return self.models / f"{share.name}.json"
+
+    def policy(self, cell: Cell) -> Path:
+        """The policy learnt in the cell's model."""
+        return self.policies / f"{cell.name}.npz"
+
+    def policy_record(self, cell: Cell) -> Path:
+        """What is known of a finished policy: fingerprint, curve, seconds."""
+        return self.policies / f"{cell.name}.json"
+
+    def checkpoint(self, cell: Cell) -> Path:
+        """Where learning a policy goes on from when it was interrupted."""
+        return self.policies / f"{cell.name}.checkpoint.npz"
+
+    def runs(self, name: str) -> Path:
+        """What was done along every reference, of a policy or a controller."""
+        return self.tracks / f"{name}.npz"

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -24,7 +25,8 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if (ROOT / name).is_file() and not name.startswith(("reports/", "dvc.lock", "spot/dvc.lock")):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
-    tiny = {**TINY, "train": {**TINY["train"], "models": ["sim_model"], "sample_sizes": [40]}}
+    one: dict[str, Any] = {"models": ["sim_model"], "sample_sizes": [40]}
+    tiny = {**TINY, "train": {**TINY["train"], **one}, "policy": {**TINY["policy"], **one}}
     params = load_params(ROOT / "params.yaml", tiny).model_dump(mode="json")
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
@@ -45,10 +47,11 @@ def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path) -> No
     assert (copy / "dvc.lock").exists()
     assert (copy / "reports" / "virtual" / "report.md").exists()
     assert (copy / "reports" / "virtual" / "diagnosis" / "diagnosis.json").exists()
+    assert (copy / "reports" / "virtual" / "tracking" / "report.md").exists()
     assert "up to date" in run(copy, "dvc", "repro")
 
     before = run(copy, "dvc", "status", "--json")
-    (copy / "more.yaml").write_text("train: {seeds: [1]}\n")
+    (copy / "more.yaml").write_text("{train: {seeds: [1]}, policy: {seeds: [1]}}\n")
     run(copy, "python", "-m", "flows.reproduce", "virtual", "--overrides", "more.yaml", "--workspace", "sweeps/more")
     assert run(copy, "dvc", "status", "--json") == before
 
@@ -61,5 +64,6 @@ def test_the_real_spots_pipeline_is_complete(copy: Path) -> None:
     """Without the recordings its stages are there to be listed, and say which folder is missing."""
     stages = run(copy, "dvc", "stage", "list", "spot/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == [
-        f"spot/dvc.yaml:{stage}" for stage in ("recordings", "transitions", "train", "score", "report", "diagnose")
+        f"spot/dvc.yaml:{stage}"
+        for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
     ]

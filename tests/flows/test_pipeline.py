@@ -3,6 +3,7 @@
 import html
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from mlflow import MlflowClient
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
 from tasks import files, transitions
+from tasks.policy import input_columns as input_columns_of_policies
 from tasks.train import input_columns
 from tasks.workspace import Cell, Share, Workspace
 
@@ -35,7 +37,17 @@ TINY: dict[str, Any] = {
         "sim_model": {"training_steps": 100, "evaluate_every": 50},
     },
     "score": {"horizons": [5, 10]},
-}
+    "policy": {
+        "models": ["sim_model", "sim_fsvgd"],
+        "sample_sizes": [80],
+        "seeds": [0],
+        "learning": {"environment_steps": 640, "environments": 16, "updates": 16, "episode_length": 20,
+                     "steps_between_updates": 4, "min_replay": 128, "max_replay": 1000, "evaluations": 2,
+                     "evaluation_environments": 8},
+        "sac": {"policy_hidden_layers": [8], "critic_hidden_layers": [8]},
+    },
+    "track": {"ellipse": {"rounds": 0.3}, "helix": {"turns": 0.5}, "proportional": {"gains": [1.0, 2.0]}},
+}  # fmt: skip
 MODELS, SIZES = ("sim_model", "fsvgd", "sim_fsvgd"), (40, 80)
 CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
 DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
@@ -63,10 +75,10 @@ def finish(process: subprocess.Popen[bytes], folder: Path) -> tuple[int, str]:
     return status, (folder / "output.txt").read_text()
 
 
-def children(folder: Path) -> pd.DataFrame:
-    """The cells' runs in MLflow, oldest first."""
+def children(folder: Path, experiment_name: str = "model-validation") -> pd.DataFrame:
+    """The cells' runs of an experiment in MLflow, oldest first."""
     client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
-    experiment = client.get_experiment_by_name("model-validation")
+    experiment = client.get_experiment_by_name(experiment_name)
     assert experiment is not None
     runs = client.search_runs([experiment.experiment_id], order_by=["start_time ASC"])
     rows = [
@@ -88,14 +100,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> None:
     folder, output = finished
-    tail = output.strip().splitlines()[-4:]
-    assert [line.split()[0] for line in tail] == ["report", "figures", "diagnosis", "MLflow"]
+    tail = output.strip().splitlines()[-5:]
+    assert [line.split()[0] for line in tail] == ["report", "figures", "tracking", "diagnosis", "MLflow"]
     report = folder / tail[0].split()[1]
     assert "Sim-FSVGD" in report.read_text()
     assert (report.parent / "nll_against_n.png").stat().st_size > 10_000
     statement = files.read_json(report.parent / "diagnosis" / "diagnosis.json")["statement"]
     assert statement in output
-    assert html.escape(statement) in (folder / tail[2].split()[1]).read_text()
+    assert html.escape(statement) in (folder / tail[3].split()[1]).read_text()
     assert "Error encountered" not in output
     assert "Traceback" not in output
 
@@ -172,7 +184,9 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Pat
 
 
 def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
-    overrides = {**TINY, "train": {**TINY["train"], "sample_sizes": [40, 100_000], "models": ["sim_model"]}}
+    policy = {**TINY["policy"], "models": ["sim_model"], "sample_sizes": [40]}
+    train = {**TINY["train"], "sample_sizes": [40, 100_000], "models": ["sim_model"]}
+    overrides = {**TINY, "train": train, "policy": policy}
     stale = Workspace(tmp_path / "w", "virtual").record(Cell("student_t", "sim_model", 100_000, 0))
     files.write_json(stale, {"fingerprint": "of other parameters"})
     status, output = finish(start(tmp_path, overrides), tmp_path)
@@ -187,9 +201,11 @@ def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
 def test_models_that_are_given_a_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One diagnosis serves both; where the recordings are too few for it, their cells fail and lose no other."""
     train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
-    status, output = finish(start(tmp_path, {**TINY, "train": train}), tmp_path)
+    policy = {**TINY["policy"], "models": ["sim_model_diagnosed"], "sample_sizes": [80, 100_000]}
+    status, output = finish(start(tmp_path, {**TINY, "train": train, "policy": policy}), tmp_path)
     assert status == 1
     assert "3 of 6 cells failed" in output
+    assert "1 of 2 policies failed" in output
     workspace = Workspace(tmp_path / "w", "virtual")
     assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
     found = files.read_json(workspace.effects(Share(80, 0)))["effects"]
@@ -207,6 +223,33 @@ def test_models_that_are_given_a_diagnosis(tmp_path: Path, monkeypatch: pytest.M
     report = (workspace.reports / "report.md").read_text()
     assert f"N = 80: {', '.join(found) or 'none'} (seed 0)" in report
     assert "SIM-MODEL + diagnosed: **level at 1** of 1 N against SIM-MODEL" in report
+
+
+def test_policies_are_learnt_run_on_the_robot_and_told_of(
+    finished: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _ = finished
+    tracking = Workspace(folder / "w", "virtual").tracking
+    errors = pd.read_csv(tracking / "errors.csv")
+    assert set(errors["shape"]) == {"ellipse", "helix"}
+    assert set(errors["policy"]) == {"sim_model", "sim_fsvgd", "proportional 1 per s", "proportional 2 per s"}
+    assert (errors["mean_error"] > 0).all()
+    report = (tracking / "report.md").read_text()
+    assert "Best policy against proportional 1 per s" in report
+    assert "Sim-FSVGD below SIM-MODEL at every N" in report
+    for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", report):
+        assert (tracking / name).stat().st_size > 5_000, name
+
+    runs = children(folder, "policies").set_index("name")
+    run = runs.loc[Cell("student_t", "sim_fsvgd", 80, 0).name]
+    row = errors[(errors["policy"] == "sim_fsvgd") & (errors["shape"] == "helix")].iloc[0]
+    assert run["helix/mean_error"] == pytest.approx(row["mean_error"], rel=1e-4)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}")
+    table = pd.DataFrame(np.zeros((2, 27)), columns=list(input_columns_of_policies()))
+    commands = mlflow.pyfunc.load_model(f"runs:/{run['id']}/model").predict(table)
+    assert commands.shape == (2, 6)
+    client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
+    assert len(client.get_metric_history(run["id"], "training/return")) == 2
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,166 @@
+"""Stage `policy`: one policy a model of the grid, learnt inside it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from prefect import task
+
+from simgap.policies import learn
+from simgap.policies.actor import Actor
+from simgap.policies.environment import LearntSpot, box
+from simgap.policies.learn import Training
+from simgap.recordings import HISTORY
+from simgap.simulators.spot import SCHEMA
+from simgap.types import Report, SimgapError
+from tasks import files, tracking, transitions
+from tasks.fingerprint import of_policy, relevant_policy_params
+from tasks.params import PolicyParams
+from tasks.train import Job
+from tasks.workspace import Cell, Workspace
+
+
+class Grid(NamedTuple):
+    """What the policies share: the run of the whole grid in MLflow, its tags, the digest of the code."""
+
+    run: tracking.Run
+    tags: dict[str, str]
+    code: str
+
+
+def grid(params: PolicyParams) -> list[Cell]:
+    """The cells whose models get a policy, seed after seed: what is done at any time is the grid of fewer seeds."""
+    return [
+        Cell(params.noise, model, n, seed)
+        for seed in params.seeds
+        for n in params.sample_sizes
+        for model in params.models
+    ]
+
+
+def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
+    """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
+    return not isinstance(state.result(raise_on_failure=False), SimgapError)
+
+
+@task(task_run_name="policy-{cell.name}", retries=1, retry_condition_fn=_may_pass)
+def learn_policy(
+    workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, job: Job, clock: Callable[[], float]
+) -> None:
+    """Learn a cell's policy, unless that was done before; write it and its record, and log them.
+
+    Goes on from the last evaluation where it was interrupted. `job` and `clock` as in `tasks.train`.
+    """
+    digest = transitions.digest(workspace)
+    model = files.read_json(workspace.record(cell))["fingerprint"]
+    mark = of_policy(cell, model, digest, params, grid.code)
+    with job(cell.name, params.learning.environment_steps) as report:
+        reused = finished(workspace, cell, mark)
+        if not reused:
+            # Should this fail, the policy of other parameters must not pass for its result.
+            workspace.policy_record(cell).unlink(missing_ok=True)
+            _learn(workspace, cell, params, mark, report, clock)
+    log(workspace, cell, params, grid, {"transitions": digest, "model_fingerprint": model, "reused": str(reused)})
+
+
+def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
+    """Whether the cell's policy was learnt before in the same model, with the same parameters and code."""
+    policy, record = workspace.policy(cell), workspace.policy_record(cell)
+    return policy.exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
+
+
+def _learn(
+    workspace: Workspace, cell: Cell, params: PolicyParams, mark: str, report: Report, clock: Callable[[], float]
+) -> None:
+    """Learn and write; the record comes last, so that a policy killed halfway has none and is gone on with."""
+    model = jax.tree.map(jnp.asarray, files.load_model(workspace.model(cell)))
+    environment = LearntSpot(model, box(transitions.load(workspace, "training").x), params.environment)
+    checkpoint = Checkpoint(workspace, cell, mark)
+    resumed, curve, before = checkpoint.load(environment, params)
+    start = clock()
+
+    def keep(step: int, metrics: dict[str, float]) -> None:
+        curve.setdefault("step", []).append(step)
+        for name, value in metrics.items():
+            curve.setdefault(name, []).append(value)
+        report(step, metrics)
+
+    learnt = learn.learn(
+        jax.random.key(cell.seed), environment, params.learning, params.sac, keep, resumed,
+        lambda training: checkpoint.save(training, curve, before + clock() - start),
+    )  # fmt: skip
+    limit = jnp.array(params.environment.command_limit)
+    files.save_policy(workspace.policy(cell), Actor(learnt.layers, learnt.mean, learnt.std, limit))
+    record = {
+        **cell._asdict(),
+        "fingerprint": mark,
+        "seconds": before + clock() - start,
+        "steps": curve["step"][-1],
+        "return": max(curve["return"]),
+        "lost": curve["lost"][-1],
+        "curve": curve,
+    }
+    files.write_json(workspace.policy_record(cell), record)
+    checkpoint.remove()
+
+
+class Checkpoint:
+    """All that learning a cell's policy needs to go on from its last evaluation."""
+
+    def __init__(self, workspace: Workspace, cell: Cell, mark: str) -> None:
+        self._arrays = workspace.checkpoint(cell)
+        self._curve = self._arrays.with_suffix(".json")
+        self._mark = mark
+
+    def load(
+        self, environment: LearntSpot, params: PolicyParams
+    ) -> tuple[Training | None, dict[str, list[float]], float]:
+        """State, curve so far and seconds spent; nothing where there is none of the same fingerprint."""
+        if not (self._arrays.exists() and self._curve.exists()):
+            return None, {}, 0.0
+        known = files.read_json(self._curve)
+        arrays = files.load_arrays(self._arrays)
+        evaluations = int(arrays.pop("evaluations"))
+        if known["fingerprint"] != self._mark or evaluations != len(known["curve"]["step"]):
+            return None, {}, 0.0
+        training = learn.from_arrays(arrays, environment, params.learning, params.sac)
+        return training, known["curve"], known["seconds"]
+
+    def save(self, training: Training, curve: dict[str, list[float]], seconds: float) -> None:
+        """Two files, each whole or not there; where a kill came between them, they do not fit and are not used."""
+        evaluations = {"evaluations": jnp.int32(len(curve["step"]))}
+        files.save_arrays(self._arrays, {**learn.to_arrays(training), **evaluations})
+        files.write_json(self._curve, {"fingerprint": self._mark, "curve": curve, "seconds": seconds})
+
+    def remove(self) -> None:
+        """Delete what is no longer needed."""
+        self._arrays.unlink(missing_ok=True)
+        self._curve.unlink(missing_ok=True)
+
+
+def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags: dict[str, str]) -> None:
+    """A learnt policy as a run of the grid's: parameters, curve, data set, results, and the policy as a model."""
+    record = files.read_json(workspace.policy_record(cell))
+    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"]}
+    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
+        run.params({**cell._asdict(), **relevant_policy_params(params)})
+        curve = dict(record["curve"])
+        run.curve([int(step) for step in curve.pop("step")], curve)
+        run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
+        run.scores({name: record[name] for name in ("seconds", "steps", "return", "lost")})
+        run.policy(workspace.policy(cell), input_columns(), [field.name for field in SCHEMA.command])
+
+
+def input_columns() -> tuple[str, ...]:
+    """What a policy is told: the state, the commands two rows and one row before, the goal."""
+    past = [f"{field.name}_{k}" for k in range(HISTORY, 0, -1) for field in SCHEMA.command]
+    return (*(field.name for field in SCHEMA.state), *past, "goal_x", "goal_y", "goal_z")
+
+
+def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
+    """Delete what belongs to cells that the grid no longer has: a stage's output holds this grid alone."""
+    wanted = {cell.name for cell in cells}
+    for path in workspace.policies.glob("*"):
+        if path.name.removesuffix(path.suffix).removesuffix(".checkpoint") not in wanted:
+            path.unlink()
