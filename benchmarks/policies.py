@@ -118,7 +118,7 @@ class Ours:
     def __init__(self, count: int) -> None:
         params = load_params(ROOT / "params.yaml").policy
         keys = jax.random.split(jax.random.key(0), 3)
-        x = np.asarray(jax.random.uniform(keys[0], (1000, 31), minval=-1.0))
+        x = jax.random.uniform(keys[0], (1000, 31), minval=-1.0)
         stats = Normalisation(jnp.zeros(31), jnp.ones(31), jnp.zeros(13), jnp.full(13, 0.01))
         particles = networks.init(keys[1], 5, (31, 64, 64, 64, 13))
         model = BNN(particles, jnp.full(13, 0.1), jnp.full(13, 3.0), stats)

@@ -54,7 +54,7 @@ def _diagnose(
         found = diagnose.find(simulator, name, sessions, seed, lambda line: progress.say(f"  {line}"))
         seconds = time.perf_counter() - start
         diagnose.write(out, found, simulator.schema)
-        diagnose.log(tracked, out, found, seconds)
+        diagnose.log(tracked, out, found, simulator.schema, seconds)
     shown = [("page", diagnose.PAGE), ("data", diagnose.STATEMENT), ("commands", diagnose.EXPERIMENT)]
     places = "\n".join(f"{what:10}{out / file}" for what, file in shown if (out / file).exists())
     progress.say(

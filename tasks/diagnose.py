@@ -124,8 +124,8 @@ def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Ses
 
 
 @task(task_run_name="log-{folder.name}", retries=1)
-def log(run: tracking.Run, folder: Path, found: Diagnosis, seconds: float) -> None:
-    """Verdict, effects and held-out scores; and the files that `write` wrote."""
+def log(run: tracking.Run, folder: Path, found: Diagnosis, schema: Schema, seconds: float) -> None:
+    """Verdict, effects, held-out scores, the augmented simulator as a model; and the files that `write` wrote."""
     statement = found.statement
     effects = [effect["id"] for effect in statement["effects"]]
     run.tags({"verdict": statement["verdict"], "effects": ", ".join(effects) or "none"})
@@ -134,6 +134,7 @@ def log(run: tracking.Run, folder: Path, found: Diagnosis, seconds: float) -> No
     for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
         if (folder / name).exists():
             run.artifact(folder / name)
+    run.simulator(folder / MODEL, statement["simulator"], schema)
 
 
 def scores(statement: dict[str, Any]) -> Iterator[tuple[str, float]]:

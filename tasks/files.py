@@ -350,7 +350,7 @@ class _ArraysOnly(pickle.Unpickler):
 # Results of stages
 
 
-_SCALES = "scales_"
+SCALES = "scales_"
 
 
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -452,13 +452,13 @@ def load_policy(path: Path) -> Actor:
 
 def augmented_arrays(simulator: AugmentedSimulator) -> dict[str, np.ndarray]:
     """The effects' constants, what they refer to (`scales_<name>`) and the time step [s], as `augmented_spot` reads."""
-    scales = {f"{_SCALES}{name}": np.asarray(value) for name, value in simulator.scales._asdict().items()}
+    scales = {f"{SCALES}{name}": np.asarray(value) for name, value in simulator.scales._asdict().items()}
     return {"theta": simulator.constants, "time_step": np.asarray(simulator.time_step, np.float64), **scales}
 
 
 def augmented_spot(arrays: dict[str, np.ndarray]) -> AugmentedSimulator:
     """The Spot with effects that `augmented_arrays` wrote, whose arrays are taken out; KeyError if one is missing."""
-    scales = {name: arrays.pop(f"{_SCALES}{name}") for name in Scales._fields}
+    scales = {name: arrays.pop(f"{SCALES}{name}") for name in Scales._fields}
     numbers = {name: float(value) if value.ndim == 0 else value for name, value in scales.items()}
     spot = Spot(time_step=float(arrays.pop("time_step")))
     return AugmentedSimulator.of(spot, arrays.pop("theta"), Scales(**numbers))  # type: ignore[arg-type]

@@ -31,8 +31,9 @@ from mlflow.models import Model, ModelSignature
 from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
 
+from simgap.types import Schema as RobotSchema
 from simgap.types import SimgapError
-from tasks import policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, policy_pyfunc, pyfunc
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -170,15 +171,23 @@ class Run:
         A table of `columns_in` goes in, one of `mean_<output>` and `std_<output>` comes out; see `tasks.pyfunc`.
         """
         predicted = [f"{moment}_{name}" for moment in ("mean", "std") for name in columns_out]
-        return self._pyfunc(pyfunc.__name__, model_path, pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out]),
-                            predicted)  # fmt: skip
+        config = pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
+        return self._pyfunc(pyfunc.__name__, model_path, config, columns_in, predicted)
 
     def policy(self, policy_path: Path, columns_in: Sequence[str], columns_out: Sequence[str]) -> str:
         """A file of `files.save_policy`, as a model from `columns_in` to `columns_out`; see `tasks.policy_pyfunc`."""
-        columns = pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
-        return self._pyfunc(policy_pyfunc.__name__, policy_path, columns, columns_out)
+        config = pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
+        return self._pyfunc(policy_pyfunc.__name__, policy_path, config, columns_in, columns_out)
 
-    def _pyfunc(self, loader: str, path: Path, columns: pyfunc.Columns, predicted: Sequence[str]) -> str:
+    def simulator(self, path: Path, name: str, schema: RobotSchema) -> str:
+        """The constants of a diagnosed simulator called `name`, as a model; see `tasks.augmented_pyfunc`."""
+        inputs, outputs = augmented_pyfunc.input_columns(schema), augmented_pyfunc.output_columns(schema)
+        config = augmented_pyfunc.Origin(simulator=name)
+        return self._pyfunc(augmented_pyfunc.__name__, path, config, inputs, outputs)
+
+    def _pyfunc(
+        self, loader: str, path: Path, config: Mapping[str, Any], inputs: Sequence[str], predicted: Sequence[str]
+    ) -> str:
         # MLflow's own `log_model` writes to the global tracking URI; these are its steps, with the store named.
         client = self.store.client
         logged = client.create_logged_model(
@@ -186,7 +195,7 @@ class Run:
         )
         description = Model(logged.artifact_location, self.run_id, model_id=logged.model_id)
         with tempfile.TemporaryDirectory() as scratch:
-            _save_pyfunc(Path(scratch) / MODEL, loader, path, description, columns, predicted)
+            _save_pyfunc(Path(scratch) / MODEL, loader, path, description, config, inputs, predicted)
             client.log_model_artifacts(logged.model_id, str(Path(scratch) / MODEL))
         client.finalize_logged_model(logged.model_id, "READY")
         client.log_outputs(self.run_id, [LoggedModelOutput(logged.model_id, step=0)])
@@ -194,17 +203,22 @@ class Run:
 
 
 def _save_pyfunc(
-    path: Path, loader: str, data: Path, description: Model, columns: pyfunc.Columns, predicted: Sequence[str]
+    path: Path,
+    loader: str,
+    data: Path,
+    description: Model,
+    config: Mapping[str, Any],
+    inputs: Sequence[str],
+    predicted: Sequence[str],
 ) -> None:
-    inputs = columns["inputs"]
     mlflow.pyfunc.save_model(
         path,
         loader_module=loader,
         data_path=data,
-        model_config=dict(columns),
+        model_config=dict(config),
         mlflow_model=description,
         signature=ModelSignature(_numbers(inputs), _numbers(predicted)),
-        input_example=pd.DataFrame(np.zeros((1, len(inputs))), columns=inputs),
+        input_example=pd.DataFrame(np.zeros((1, len(inputs))), columns=list(inputs)),
         pip_requirements=_REQUIREMENTS,
     )
 

@@ -7,10 +7,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import mlflow
+import mlflow.pyfunc
+import numpy as np
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
 
+from examples.drive import DRIVE
 from examples.record import record
 from flows.diagnose import diagnose_folder
 from simgap.types import SimgapError
@@ -98,6 +102,29 @@ def test_the_diagnosis_is_a_run_in_mlflow(folder: Path, output: str) -> None:
     logged = {file.path for file in client.list_artifacts(run.info.run_id)}
     assert logged == {path.name for path in (folder / "found").iterdir()}
     assert {"diagnosis.json", "diagnosis.html", "augmented.npz"} <= logged
+
+
+@pytest.mark.usefixtures("output")
+def test_the_augmented_simulator_is_a_model_in_mlflow(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(folder))  # the simulator's own module must be importable
+    store = f"sqlite:///{folder / 'mlflow.db'}"
+    client = MlflowClient(store)
+    experiment = client.get_experiment_by_name("diagnosis")
+    assert experiment is not None
+    (run,) = client.search_runs([experiment.experiment_id])
+    assert run.outputs is not None
+    (logged,) = run.outputs.model_outputs
+    mlflow.set_tracking_uri(store)
+    monkeypatch.chdir(folder)  # where the store's artifacts are
+    model = mlflow.pyfunc.load_model(f"models:/{logged.model_id}")
+    row = pd.DataFrame([{"position": 0.1, "velocity": 0.2, "cmd_force_2": 1.0, "cmd_force_1": 1.5, "cmd_force": 2.0}])
+    got = model.predict(row)
+    assert list(got.columns) == ["next_position", "next_velocity"]
+    found = files.load_arrays(folder / "found" / "augmented.npz")
+    if not found["theta"].any():  # nothing was found in these few rows: it is the simulator itself
+        expected = DRIVE.step(found["phi"], np.array([0.1, 0.2], np.float32), np.array([2.0], np.float32))
+        np.testing.assert_allclose(got.to_numpy()[0], expected, rtol=1e-5)
+    assert np.isfinite(got.to_numpy()).all()
 
 
 @pytest.mark.parametrize(
