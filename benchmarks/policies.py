@@ -25,7 +25,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 import flows  # noqa: F401  # settles the threads of XLA, as for every stage
 from simgap import networks
