@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from small import BOX, ENVIRONMENT, LIMIT, kinematic, spot
+from tiny_policies import BOX, ENVIRONMENT, LIMIT, kinematic, spot
 
 from simgap.models import BNN, predict
 from simgap.networks import init

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from small import LIMIT
+from tiny_policies import LIMIT
 
 from simgap.policies import references
 from simgap.policies.follow import Bounds, Run, collision, follow, mean_error

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import LEARN, LIMIT, SAC, kinematic, spot
+from tiny_policies import LEARN, LIMIT, SAC, kinematic, spot
 
 from simgap.policies import learn
 from simgap.policies.actor import Actor
