@@ -7,7 +7,6 @@ import numpy as np
 from prefect import task
 
 from simgap.diagnosis.explain import explain
-from simgap.diagnosis.search import without
 from simgap.recordings import HISTORY, divide
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
@@ -85,8 +84,7 @@ def find(
     record.unlink(missing_ok=True)
     start, spot = clock(), Spot(time_step=time_step)
     found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
-    nearest = [group for m in found.members if not found.names(m) for group in m.candidate.groups]
-    simulator = AugmentedSimulator.of(spot, without(found.fit, nearest).v.theta, found.problem.scales)
+    simulator = AugmentedSimulator.of(spot, found.known().v.theta, found.problem.scales)
     files.save_arrays(arrays, files.augmented_arrays(simulator))
     files.write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),

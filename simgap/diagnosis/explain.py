@@ -13,7 +13,7 @@ from simgap.diagnosis.left_over import LeftOver, left_over, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
-from simgap.diagnosis.search import Round, Say, search
+from simgap.diagnosis.search import Round, Say, search, without
 from simgap.diagnosis.times import acts_when, pushed
 from simgap.diagnosis.when import When, gate
 from simgap.effects.augmented import Augmented
@@ -48,6 +48,10 @@ class Explanation(NamedTuple):
     def names(self, member: Member) -> bool:
         """Whether an effect explains its outputs, rather than being the nearest word for something else."""
         return named_share(self.problem.augmented.layout, self.fit, member.without, self.left) >= EXPLAINED
+
+    def known(self) -> Fit:
+        """The fit without the effects that are nearest words only; nothing is fitted anew."""
+        return without(self.fit, [group for m in self.members if not self.names(m) for group in m.candidate.groups])
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:

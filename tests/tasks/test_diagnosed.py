@@ -78,7 +78,8 @@ def asked(recordings: list[Recording], monkeypatch: pytest.MonkeyPatch) -> list[
         say("looking")
         found = late(recordings)
         return SimpleNamespace(
-            fit=SimpleNamespace(v=SimpleNamespace(theta=found.constants)),
+            known=lambda: SimpleNamespace(v=SimpleNamespace(theta=found.constants)),
+            names=lambda _: True,
             problem=SimpleNamespace(scales=found.scales),
             members=[SimpleNamespace(candidate=SimpleNamespace(name="delay on all"))],
             scattered=[SimpleNamespace(id="dropout")],
