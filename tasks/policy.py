@@ -1,7 +1,7 @@
 """Stage `policy`: one policy a model of the grid, learnt inside it."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,9 @@ from simgap.policies.environment import LearntSpot, box
 from simgap.policies.learn import Training
 from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
-from simgap.types import Report, SimgapError
+from simgap.types import Report
 from tasks import files, tracking, transitions
+from tasks.cells import Curve, finished, may_pass
 from tasks.fingerprint import of_policy, relevant_policy_params
 from tasks.params import PolicyParams
 from tasks.train import Job
@@ -39,12 +40,7 @@ def grid(params: PolicyParams) -> list[Cell]:
     ]
 
 
-def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
-    """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
-    return not isinstance(state.result(raise_on_failure=False), SimgapError)
-
-
-@task(task_run_name="policy-{cell.name}", retries=1, retry_condition_fn=_may_pass)
+@task(task_run_name="policy-{cell.name}", retries=1, retry_condition_fn=may_pass)
 def learn_policy(
     workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, job: Job, clock: Callable[[], float]
 ) -> None:
@@ -56,18 +52,12 @@ def learn_policy(
     model = files.read_json(workspace.record(cell))["fingerprint"]
     mark = of_policy(cell, model, digest, params, grid.code)
     with job(cell.name, params.learning.environment_steps) as report:
-        reused = finished(workspace, cell, mark)
+        reused = finished(workspace.policy(cell), workspace.policy_record(cell), mark)
         if not reused:
             # Should this fail, the policy of other parameters must not pass for its result.
             workspace.policy_record(cell).unlink(missing_ok=True)
             _learn(workspace, cell, params, mark, report, clock)
     log(workspace, cell, params, grid, {"transitions": digest, "model_fingerprint": model, "reused": str(reused)})
-
-
-def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
-    """Whether the cell's policy was learnt before in the same model, with the same parameters and code."""
-    policy, record = workspace.policy(cell), workspace.policy_record(cell)
-    return policy.exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
 
 
 def _learn(
@@ -78,14 +68,7 @@ def _learn(
     environment = LearntSpot(model, box(transitions.load(workspace, "training").x), params.environment)
     checkpoint = Checkpoint(workspace, cell, mark)
     resumed, curve, before = checkpoint.load(environment, params)
-    start = clock()
-
-    def keep(step: int, metrics: dict[str, float]) -> None:
-        curve.setdefault("step", []).append(step)
-        for name, value in metrics.items():
-            curve.setdefault(name, []).append(value)
-        report(step, metrics)
-
+    start, keep = clock(), Curve(report, curve)
     learnt = learn.learn(
         jax.random.key(cell.seed), environment, params.learning, params.sac, keep, resumed,
         lambda training: checkpoint.save(training, curve, before + clock() - start),

@@ -14,8 +14,9 @@ from simgap.noise import FAMILIES
 from simgap.recordings import HISTORY, draw
 from simgap.simulators import sample_parameters
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import ConfigError, Report, Schema, SimgapError, Simulator, Transitions
+from simgap.types import ConfigError, Report, Schema, Simulator, Transitions
 from tasks import diagnosed, files, tracking, transitions
+from tasks.cells import Curve, finished, may_pass
 from tasks.fingerprint import Codes, fingerprint, relevant_params
 from tasks.params import Params, TrainParams
 from tasks.workspace import Cell, Workspace
@@ -58,14 +59,6 @@ def fit(cell: Cell, data: Transitions, simulator: Simulator, params: TrainParams
             raise ConfigError(f"there is no model {unknown}; there are sim_model, fsvgd and sim_fsvgd.")
 
 
-def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
-    """Whether the cell was trained before on the same data, parameters and code."""
-    record = workspace.record(cell)
-    return (
-        workspace.model(cell).exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
-    )
-
-
 class Grid(NamedTuple):
     """What the cells share: the run of the whole grid in MLflow, its tags, the digests of the code."""
 
@@ -85,12 +78,7 @@ def steps_at_most(cell: Cell, params: TrainParams) -> int:
     return params.bnn.training_steps(cell.sample_size)
 
 
-def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
-    """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
-    return not isinstance(state.result(raise_on_failure=False), SimgapError)
-
-
-@task(task_run_name="{cell.name}", retries=1, retry_condition_fn=_may_pass)
+@task(task_run_name="{cell.name}", retries=1, retry_condition_fn=may_pass)
 def train_cell(
     workspace: Workspace, cell: Cell, params: Params, grid: Grid, job: Job, clock: Callable[[], float]
 ) -> None:
@@ -106,7 +94,7 @@ def train_cell(
         else fingerprint(cell, digest, time_step, params.train, grid.codes.training)
     )
     with job(cell.name, steps_at_most(cell, params.train)) as report:
-        reused = finished(workspace, cell, mark)
+        reused = finished(workspace.model(cell), workspace.record(cell), mark)
         if not reused:
             # Should this training fail, the model of other parameters must not pass for its result.
             workspace.record(cell).unlink(missing_ok=True)
@@ -129,14 +117,7 @@ def _train(
 
     `known`: what the record is to hold besides.
     """
-    curve: dict[str, list[float]] = {"step": []}
-
-    def keep(step: int, metrics: dict[str, float]) -> None:
-        curve["step"].append(step)
-        for name, value in metrics.items():
-            curve.setdefault(name, []).append(value)
-        report(step, metrics)
-
+    keep = Curve(report, {})
     start = clock()
     data = transitions.load(workspace, "training")
     model = fit(cell, data, simulator, params, keep)
@@ -144,8 +125,8 @@ def _train(
         **cell._asdict(),
         **known,
         "seconds": clock() - start,
-        "steps": curve["step"][-1],
-        "curve": curve,
+        "steps": keep.curve["step"][-1],
+        "curve": keep.curve,
     }
     files.save_model(workspace.model(cell), model)
     files.write_json(workspace.record(cell), record)
