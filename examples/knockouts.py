@@ -1,13 +1,26 @@
-"""Simulators of Spot with a known part taken out: from recordings of a robot, a diagnosis must name that part.
+"""Spot with a known part taken out of what is known of it: from recordings of a robot, a diagnosis must name that part.
 
-`simgap diagnose RECORDINGS --simulator examples.knockouts:WITHOUT_INDUCED_VELOCITY`
+The velocity that turning induces at the hand is taken out of the simulator:
+
+    simgap diagnose RECORDINGS --simulator examples.knockouts:WITHOUT_INDUCED_VELOCITY
+
+The paper's simulator follows commands at once, so there is no delay to take out of it. The recordings are given one
+more instead: what was sent stands in them some rows before the row in which it was.
+
+    python -m examples.knockouts RECORDINGS LATE --rows 2
+    simgap diagnose LATE --baseline RECORDINGS
 """
 
+import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 from jaxtyping import Array, Float
 
-from simgap.simulators.spot import Spot, induced_velocity
+from flows.start import guarded
+from simgap.simulators.spot import SCHEMA, Spot, induced_velocity
+from simgap.types import Recording
+from tasks.files import read_recordings, write_recording
 
 
 @dataclass(frozen=True)
@@ -25,3 +38,31 @@ class WithoutInducedVelocity(Spot):
 
 
 WITHOUT_INDUCED_VELOCITY = WithoutInducedVelocity()
+
+
+def late(recording: Recording, rows: int) -> Recording:
+    """The session as it would be had every command acted `rows` rows later than it did."""
+    end = len(recording.time_s) - rows
+    return Recording(recording.name, recording.time_s[:end], recording.state[:end], recording.command[rows:])
+
+
+def main() -> None:
+    """Write a recording set whose commands act later."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("recordings", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--rows", type=int, default=2)
+    arguments = parser.parse_args()
+
+    def work() -> None:
+        sessions, errors = read_recordings(arguments.recordings, SCHEMA, Spot().time_step)
+        if errors:
+            raise errors[0]
+        for session in sessions:
+            write_recording(arguments.out, late(session, arguments.rows), SCHEMA)
+
+    guarded(work)
+
+
+if __name__ == "__main__":
+    main()

@@ -35,10 +35,11 @@ def forecast(
 ) -> Float[Array, "W h s"]:
     """Predicted measurements of the rows after each piece's run-in, never corrected again; `box` adds to every step."""
     phi, gain = jnp.asarray(v.phi), jax.nn.sigmoid(v.gain)
+    active = augmented.active(v.theta, v.gated)
 
     def one(chunk: Chunks) -> Float[Array, "h s"]:
         first = unsense(augmented, v.theta, chunk.state[0])
-        memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0], chunk.turns)
+        memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0], chunk.turns, active)
 
         def row(carry, now):
             memory, x = carry
@@ -46,9 +47,9 @@ def forecast(
             theta = v.theta + gate * v.gated
             sent = jnp.concatenate([u[None], memory.commands])
             added = correct(augmented.layout, box, x, sent)
-            memory, x = advance(augmented, phi, theta, scales, memory, x, u, Row(time_s, interval))
+            memory, x = advance(augmented, phi, theta, scales, memory, x, u, Row(time_s, interval), active)
             x = x + added
-            seen = sense(augmented, theta, memory, x)
+            seen = sense(augmented, theta, memory, x, active)
             return (memory, x + trust * gain * wrap(augmented, y_next - seen)), seen
 
         steps = len(chunk.state) - 1

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
+from simgap.effects.augmented import Active, Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
 from simgap.layout import wrapped
 from simgap.types import Recording
@@ -130,34 +130,36 @@ def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -
     return wrapped(augmented.layout, jnp.asarray(difference))
 
 
-def _chunk(augmented: Augmented, scales: Scales, v: Variables, chunk: Chunks) -> Float[Array, "T-1 s"]:
+def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks) -> Float[Array, "T-1 s"]:
     """Innovations of one chunk (without its leading axis C)."""
     gain = jax.nn.sigmoid(v.gain)
     at_start = v.theta + chunk.gate[0] * v.gated
     first = unsense(augmented, at_start, chunk.state[0])
-    memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns)
+    memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
 
     def row(carry, now):
         memory, x = carry
         y_next, u, time_s, interval, gate = now
         theta = v.theta + gate * v.gated
-        memory, x = advance(augmented, jnp.asarray(v.phi), theta, scales, memory, x, u, Row(time_s, interval))
-        e = wrap(augmented, y_next - sense(augmented, theta, memory, x))
+        phi, now = jnp.asarray(v.phi), Row(time_s, interval)
+        memory, x = advance(augmented, phi, theta, scales, memory, x, u, now, active)
+        e = wrap(augmented, y_next - sense(augmented, theta, memory, x, active))
         return (memory, x + gain * e), e
 
     rows = (chunk.state[1:], chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:-1])
     return jax.lax.scan(row, (memory, first), rows)[1]
 
 
-def _all(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
-    e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, chunk))(bare(chunks))
+def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
     return jnp.where(chunks.counts[..., None], e, 0.0)
 
 
 @partial(jax.jit, static_argnames="augmented")
 def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "M C T-1 s"]:
     """Innovations in the outputs' units, zero in rows that do not count, for M values of the variables side by side."""
-    return jax.vmap(lambda v: _all(augmented, scales, v, chunks))(v)
+    active = augmented.active(v.theta, v.gated)
+    return jax.vmap(lambda v: _all(augmented, scales, v, active, chunks))(v)
 
 
 @partial(jax.jit, static_argnames="augmented")
@@ -170,9 +172,10 @@ def tangents(
     chunks: Chunks,
 ) -> Float[Array, "M C T-1 s"]:
     """Derivatives of the innovations along M directions in phi and gain."""
+    active = augmented.active(v.theta, v.gated)
 
     def along(phi: Float[Array, " p"], gain: Float[Array, " s"]) -> Float[Array, "C T-1 s"]:
-        at = lambda p, g: _all(augmented, scales, v._replace(phi=p, gain=g), chunks)  # noqa: E731
+        at = lambda p, g: _all(augmented, scales, v._replace(phi=p, gain=g), active, chunks)  # noqa: E731
         return jax.jvp(at, (v.phi, v.gain), (phi, gain))[1]
 
     return jax.vmap(along)(phi, gain)

@@ -1,13 +1,19 @@
-"""A simulator with all effects of the catalogue at all their sites; with all constants zero it is the simulator."""
+"""A simulator with all effects of the catalogue at all their sites; with all constants zero it is the simulator.
 
+Laws at whose constants are zero are nil, and yet take their time. `active` says which effects act at all, so that the
+others cost nothing: a batch of which few effects have constants is several times faster so. It must be the same for
+the whole batch, for under `vmap` a condition that differs computes both branches.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
@@ -16,6 +22,8 @@ from simgap.types import StepModel
 
 Theta = Float[Array | np.ndarray, " P"]
 """Internal constants of all effects at all sites; numpy's where they are known before any tracing."""
+Active = Bool[Array, " effects"] | None
+"""Which effects of the catalogue act; None: all do."""
 
 
 class Slot(NamedTuple):
@@ -62,19 +70,46 @@ class Augmented:
         constants = [CATALOGUE[slot.effect].constants[slot.constant] for slot in self.slots]
         return np.array([c.low for c in constants]), np.array([c.high for c in constants])
 
-    def constants(self, theta: Theta, *places: str) -> list[tuple[Effect, Float[Array, "k n"]]]:
-        """The effects of some places that have sites, each with its constants [k, sites].
+    @cached_property
+    def effect_of(self) -> np.ndarray:
+        """Index in the catalogue of the effect that each entry of theta belongs to."""
+        return np.array([slot.effect for slot in self.slots], int)
+
+    def active(self, *thetas: Float[Array, "... P"]) -> Bool[Array, " effects"]:
+        """The effects that have a constant other than zero in any of these, batches included."""
+        on = sum(jnp.any(theta != 0, axis=range(theta.ndim - 1)) for theta in thetas)
+        return jnp.zeros(len(CATALOGUE), int).at[self.effect_of].max(on) > 0
+
+    def laws(self, theta: Theta, active: Active, *places: str) -> list["Law"]:
+        """The effects of some places that have sites.
 
         Where theta is numpy's, effects whose constants are all zero are left out: they are nil.
         """
         found, start, known = [], 0, isinstance(theta, np.ndarray)
-        for effect, sites in zip(CATALOGUE, self.sites, strict=True):
+        for i, (effect, sites) in enumerate(zip(CATALOGUE, self.sites, strict=True)):
             size = len(effect.constants) * len(sites)
             c = theta[start : start + size].reshape(len(effect.constants), len(sites))
             if sites and effect.place in places and not (known and not c.any()):
-                found.append((effect, jnp.asarray(c)))
+                found.append(Law(effect, jnp.asarray(c), None if active is None else active[i]))
             start += size
         return found
+
+
+class Law(NamedTuple):
+    """An effect with its constants; `on`: whether it acts, None for yes."""
+
+    effect: Effect
+    c: Float[Array, "k sites"]
+    on: Bool[Array, ""] | None
+
+    def __call__(self, nil: Array, *args: Any) -> Array:
+        """What the law makes of its arguments, `nil` where it does not act."""
+        return where(self.on, lambda: self.effect.law(self.c, *args), nil)
+
+
+def where(on: Bool[Array, ""] | None, value: Callable[[], Any], nil: Any) -> Any:
+    """The value where it is on, computed only there; `nil`, of the same shapes, elsewhere."""
+    return value() if on is None else jax.lax.cond(on, value, lambda: nil)
 
 
 def remember(
@@ -84,40 +119,65 @@ def remember(
     past: Float[Array, "n u"],
     time_s: Float[Array, ""],
     turns: Float[Array, "m u"] | None = None,
+    active: Active = None,
 ) -> Memory:
     """Memory at a start: `past[k]` was sent k + 1 rows ago, n > HISTORY_ROWS; the state has been what it is.
 
     Play and lags remember long: the command path runs over all past commands first. `turns`: where each command turned
     before that, the latest first, for filters that outlast a rest; without it none did.
     """
-    keys = [effect.key for effect, sites in zip(CATALOGUE, augmented.sites, strict=True) if effect.place == "filter"]
+    filters = augmented.laws(theta, active, "filter")
     sent = past[::-1]
     first = sent[HISTORY_ROWS - 1 :: -1]
-    memory = Memory(first, dict.fromkeys(keys, first[0]), jnp.tile(state, (SENSED_ROWS, 1)))
+    states = jnp.tile(state, (SENSED_ROWS, 1))
     row = Row(time_s, jnp.ones(()))
-    if turns is not None:
+
+    def run(memory: Memory, commands: Float[Array, "n u"]) -> Memory:
+        return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
+
+    def held(memory: Memory, turned: Float[Array, "m u"]) -> Memory:
         # Each is taken to have been held, so that dead time does not matter.
-        held = lambda m, u: m._replace(commands=jnp.tile(u, (HISTORY_ROWS, 1)))  # noqa: E731
-        turned = memory._replace(filters=dict.fromkeys(keys, turns[-1]))
-        turned = jax.lax.scan(lambda m, u: (follow(augmented, theta, held(m, u), u, row)[0], None), turned, turns[::-1])
-        lasting = {e.key: turned[0].filters[e.key] for e in CATALOGUE if e.lasts and e.key in keys}
-        memory = memory._replace(filters={**memory.filters, **lasting})
-    return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row)[0], None), memory, sent[HISTORY_ROWS:])[0]
+        still = lambda m, u: m._replace(commands=jnp.tile(u, (HISTORY_ROWS, 1)))  # noqa: E731
+        step = lambda m, u: (follow(augmented, theta, still(m, u), u, row, active)[0], None)  # noqa: E731
+        return jax.lax.scan(step, memory, turned)[0]
+
+    def settled() -> dict[str, Float[Array, " u"]]:
+        memory = Memory(first, {law.effect.key: first[0] for law in filters}, states)
+        if turns is not None:
+            began = memory._replace(filters=dict.fromkeys(memory.filters, turns[-1]))
+            outlasted = held(began, turns[::-1]).filters
+            lasting = {law.effect.key: outlasted[law.effect.key] for law in filters if law.effect.lasts}
+            memory = memory._replace(filters={**memory.filters, **lasting})
+        return run(memory, sent[HISTORY_ROWS:]).filters
+
+    nil = {law.effect.key: past[0] for law in filters}
+    return Memory(past[:HISTORY_ROWS], where(_any(filters), settled, nil), states)
+
+
+def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
+    """Whether one of them acts, None for yes."""
+    switches = [law.on for law in laws if law.on is not None]
+    return jnp.stack(switches).any() if switches else None
 
 
 def follow(
-    augmented: Augmented, theta: Theta, memory: Memory, command: Float[Array, " u"], row: Row
+    augmented: Augmented,
+    theta: Theta,
+    memory: Memory,
+    command: Float[Array, " u"],
+    row: Row,
+    active: Active = None,
 ) -> tuple[Memory, Float[Array, " u"]]:
     """The command that acts, and the memory with the command sent in it: places "command" and "filter".
 
     The catalogue's order: dead time first, then what the actuators make of the command, their limits last.
     """
     u, filters = command, dict(memory.filters)
-    for effect, c in augmented.constants(theta, "command", "filter"):
-        if effect.place == "command":
-            u = effect.law(c, u, memory.commands, row, augmented.layout)
+    for law in augmented.laws(theta, active, "command", "filter"):
+        if law.effect.place == "command":
+            u = law(u, u, memory.commands, row, augmented.layout)
         else:
-            u = filters[effect.key] = effect.law(c, u, filters[effect.key])
+            u = filters[law.effect.key] = law(u, u, filters[law.effect.key])
     commands = jnp.concatenate([command[None], memory.commands[:-1]])
     return memory._replace(commands=commands, filters=filters), u
 
@@ -131,6 +191,7 @@ def advance(
     state: Float[Array, " s"],
     command: Float[Array, " u"],
     row: Row,
+    active: Active = None,
 ) -> tuple[Memory, Float[Array, " s"]]:
     """The next state and memory.
 
@@ -139,34 +200,42 @@ def advance(
     what stops them ("after").
     """
     layout, simulator = augmented.layout, augmented.simulator
-    memory, u = follow(augmented, theta, memory, command, row)
+    memory, u = follow(augmented, theta, memory, command, row, active)
     start = state
-    for effect, c in augmented.constants(theta, "before"):
-        start = effect.law(c, start, layout, scales)
+    for law in augmented.laws(theta, active, "before"):
+        start = law(start, start, layout, scales)
 
-    then, laws = simulator.step(phi, start, u), augmented.constants(theta, "push")
-    if laws:
+    then, laws = simulator.step(phi, start, u), augmented.laws(theta, active, "push")
+
+    def pushed() -> Float[Array, " s"]:
         now, expected = motion(layout, state), motion(layout, then)
-        du, dv, _ = push(layout, now.heading, jnp.ones_like(now.velocity))
-        response = motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
-        step = Step(now, expected, response, u, layout, scales, row)
-        total = sum((effect.law(c, step) for effect, c in laws), jnp.zeros_like(now.velocity))
-        du, dv, dp = push(layout, now.heading, total)
-        then = simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
+        nil = jnp.zeros_like(now.velocity)
 
-    for effect, c in augmented.constants(theta, "after"):
-        then = effect.law(c, state, then, layout, scales, row)
+        def response() -> Float[Array, "b 4"]:
+            du, dv, _ = push(layout, now.heading, jnp.ones_like(nil))
+            return motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
+
+        step = Step(now, expected, response, u, layout, scales, row)
+        du, dv, dp = push(layout, now.heading, sum((law(nil, step) for law in laws), nil))
+        return simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
+
+    if laws:
+        then = where(_any(laws), pushed, then)
+    for law in augmented.laws(theta, active, "after"):
+        then = law(then, state, then, layout, scales, row)
     return memory._replace(states=jnp.concatenate([state[None], memory.states[:-1]])), then
 
 
-def sense(augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"]) -> Float[Array, " s"]:
+def sense(
+    augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], active: Active = None
+) -> Float[Array, " s"]:
     """What is measured of a state, given the states before it."""
-    for effect, c in augmented.constants(theta, "sensing"):
-        state = effect.law(c, state, memory.states, augmented.layout)
+    for law in augmented.laws(theta, active, "sensing"):
+        state = law(state, state, memory.states, augmented.layout)
     return state
 
 
 def unsense(augmented: Augmented, theta: Theta, measured: Float[Array, " s"]) -> Float[Array, " s"]:
     """The state at rest that gives a measurement: inverse of bias and scale."""
-    found = {effect.id: c[0] for effect, c in augmented.constants(theta, "sensing")}
+    found = {law.effect.id: law.c[0] for law in augmented.laws(theta, None, "sensing")}
     return (measured - found.get("sensor_bias", 0.0)) / (1 + found.get("sensor_scale", 0.0))

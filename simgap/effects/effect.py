@@ -125,12 +125,12 @@ class Effect:
 class Step(NamedTuple):
     """What a push can look at: the motion now, the motion the simulator expects, command and layout.
 
-    response: change of the expected own velocity per unit of push, by body and axis.
+    response(): change of the expected own velocity per unit of push, by body and axis; it takes a step of its own.
     """
 
     now: Motion
     then: Motion
-    response: Float[Array, "b 4"]
+    response: Callable[[], Float[Array, "b 4"]]
     command: Float[Array, " u"]
     layout: Layout
     scales: Scales

@@ -9,7 +9,8 @@ from simgap.layout import YAW, X, Y
 
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """-c sign(v'), or what stops the motion within the step where c suffices for that: it sticks."""
-    stops = step.then.velocity / jnp.where(jnp.abs(step.response) > 1e-6, step.response, jnp.inf)
+    response = step.response()
+    stops = step.then.velocity / jnp.where(jnp.abs(response) > 1e-6, response, jnp.inf)
     most = on_axes(step.layout, c[0])
     return -jnp.clip(stops, -most, most)
 

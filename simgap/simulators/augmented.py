@@ -72,8 +72,8 @@ class AugmentedSimulator:
     @property
     def effects(self) -> tuple[str, ...]:
         """The ids of the effects that are in it."""
-        found = self.augmented.constants(self.constants, *get_args(Place))
-        return tuple(dict.fromkeys(effect.id for effect, _ in found))
+        found = self.augmented.laws(self.constants, None, *get_args(Place))
+        return tuple(dict.fromkeys(law.effect.id for law in found))
 
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
@@ -86,7 +86,7 @@ class AugmentedSimulator:
     ) -> Float[Array, " s"]:
         """The next state given u_{t-2}, u_{t-1}, u_t; before them, u_{t-2} was sent all along."""
         augmented, theta = self.augmented, self.constants
-        remembers = bool(augmented.constants(theta, "filter"))
+        remembers = bool(augmented.laws(theta, None, "filter"))
         earlier = jnp.tile(commands[0], (HISTORY_ROWS - HISTORY + 1 + remembers * SETTLING, 1))
         past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])
         start = unsense(augmented, theta, state)

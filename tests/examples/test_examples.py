@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 
 from examples.car import CAR, Car
 from examples.drive import DRIVE, Drive
+from examples.knockouts import WITHOUT_INDUCED_VELOCITY, late
 from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive_session, record
+from simgap.simulators.spot import Spot
 from simgap.types import Recording
 from tasks.files import read_recordings
 from tasks.simulators import check, load
@@ -198,3 +200,28 @@ def test_the_pages_example_is_a_simulator() -> None:
     step = made["PENDULUM"].step
     np.testing.assert_allclose(step(jnp.array([0.5, 5.0, 0.1]), jnp.zeros(2), jnp.zeros(1)), 0.0)
     np.testing.assert_allclose(step(jnp.array([0.5, 5.0, 0.1]), jnp.zeros(2), jnp.ones(1)), [4e-4, 0.04], rtol=1e-5)
+
+
+# Spot with a part taken out
+
+
+@given(omega=st.floats(-2, 2), x=st.floats(-1, 1), y=st.floats(-1, 1))
+@quick
+def test_without_induced_velocity_turning_leaves_the_hand(omega: float, x: float, y: float) -> None:
+    """What is taken out is omega times the arm, turned by a quarter, and its part of the position; no more."""
+    params = jnp.array([0.0] * 18 + [1.5] * 6)
+    state = jnp.zeros(12).at[6:9].set(jnp.array([x, y, 0.5]))
+    command = jnp.array([0.3, -0.2, omega, 0.1, 0.2, 0.3])
+    whole, knocked_out = (s.step(params, state, command) for s in (Spot(), WITHOUT_INDUCED_VELOCITY))
+    induced = np.array([-omega * y, omega * x, 0.0])
+    np.testing.assert_allclose(whole[9:] - knocked_out[9:], induced, atol=1e-6)
+    np.testing.assert_allclose(whole[6:9] - knocked_out[6:9], induced * 1.5 / 15, atol=1e-6)
+    np.testing.assert_array_equal(whole[:6], knocked_out[:6])
+
+
+def test_late_commands_stand_before_the_row_they_act_in() -> None:
+    time = np.arange(6.0)
+    recording = Recording("a", time, time[:, None], 10 * time[:, None])
+    shifted = late(recording, 2)
+    np.testing.assert_array_equal(shifted.state[:, 0], [0, 1, 2, 3])
+    np.testing.assert_array_equal(shifted.command[:, 0], [20, 30, 40, 50])

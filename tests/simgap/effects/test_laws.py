@@ -228,7 +228,7 @@ def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
     _, state, command = scene(robot, seed)
     now, then = motion(augmented.layout, state), motion(augmented.layout, scene(robot, seed + 1)[1])
     response = jnp.abs(motion(augmented.layout, scene(robot, seed + 2)[1]).velocity)
-    return Step(now, then, response, command, augmented.layout, scales(robot), ROW), np.asarray(response)
+    return Step(now, then, lambda: response, command, augmented.layout, scales(robot), ROW), np.asarray(response)
 
 
 @robots
@@ -267,7 +267,7 @@ def test_resistances_are_nil_at_rest(robot: str) -> None:
     augmented = ROBOTS[robot]
     _, state, command = at_rest(robot)
     still = motion(augmented.layout, state)
-    step = Step(still, still, jnp.ones_like(still.velocity), command, augmented.layout, scales(robot), ROW)
+    step = Step(still, still, lambda: jnp.ones((len(still.velocity), 4)), command, augmented.layout, scales(robot), ROW)
     for effect in resistance.EFFECTS:
         push = effect.law(jnp.ones((1, len(sites_of(robot, effect)))), step)
         assert not push.any()
@@ -503,8 +503,8 @@ def test_what_stands_in_theta_is_what_the_catalogue_holds() -> None:
     for augmented in ROBOTS.values():
         sizes = [len(e.constants) * len(sites) for e, sites in zip(CATALOGUE, augmented.sites, strict=True)]
         assert len(augmented.slots) == sum(sizes) == len(augmented.bounds[0])
-        found = augmented.constants(jnp.arange(len(augmented.slots)), *{e.place for e in CATALOGUE})
-        for effect, c in found:
+        found = augmented.laws(jnp.arange(len(augmented.slots)), None, *{e.place for e in CATALOGUE})
+        for effect, c, _ in found:
             for k, row in enumerate(c):
                 for site, entry in enumerate(row):
                     assert augmented.slots[int(entry)] == Slot(CATALOGUE.index(effect), k, site)
