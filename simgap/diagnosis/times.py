@@ -67,7 +67,7 @@ def pushed(
     if gain < chance + LEAST_SHARE * sum(m.gain for m in members):
         return model, members
     # A push is an exception: what recurs is something else.
-    again = max(stretch(rows, *elsewhere(rows, when, score, power), PUSH)[1] for *_, score, power in tried)
+    again = max(stretch(rows, elsewhere(rows, when, score), power, PUSH)[1] for *_, score, power in tried)
     if gain < EXCEPTION * again:
         return model, members
     at, candidate = _open(model, when).problem, gated(event)

@@ -102,7 +102,7 @@ def stretch_by_chance(
     happened there, it is not chance), and what independent stretches would give, which is ln(number / level).
     """
     when, _ = stretch(rows, score, power, PUSH)
-    score, power = elsewhere(rows, when, score, power)
+    score = elsewhere(rows, when, score)
     best = []
     for _ in range(DRAWS):
         sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
@@ -113,12 +113,12 @@ def stretch_by_chance(
     return float(max(drawn, np.log(len(score) * len(LENGTHS) / level)))
 
 
-def elsewhere(rows: Rows, when: When, score: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def elsewhere(rows: Rows, when: When, score: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Scores of the rows outside of a stretch, nil in it and in the `PUSH` rows beside it, where it still echoes."""
     margin = PUSH * float(np.median(np.diff(rows.time_s)))
     inside = (rows.time_s >= when.from_s - margin) & (rows.time_s < when.to_s + margin)
     inside &= rows.session == when.session
-    return np.where(inside, 0.0, score), power
+    return np.where(inside, 0.0, score)
 
 
 def _sessions(rows: Rows) -> list[np.ndarray]:
