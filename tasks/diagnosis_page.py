@@ -89,7 +89,7 @@ def _tiles(diagnosis: Values) -> str:
         tiles.append((" → ".join(values), f"held-out {_metric(metric, False).lower()}: {labels}"))
     if effects and _known(fit.get("explained_share")):
         tiles.append(
-            (_percent(fit["explained_share"]), "of what a black box can remove is removed by the named physics")
+            (_percent(fit["explained_share"]), "of what a black box can remove is removed by the effects found")
         )
     if not tiles:
         return ""
@@ -353,8 +353,9 @@ def _share(fit: Values, effects: Sequence[Values]) -> str:
     ends = _interval(fit.get("explained_share_ci95"))
     interval = f" (95 % interval {_percent(ends[0])} to {_percent(ends[1])})" if ends else ""
     return (
-        f'<div class="share"><p>The named physics removes <b>{_percent(share)}</b>{interval} of the error that a black '
-        f"box with the same inputs can remove.</p>{_bar(share, plots.COLOURS['augmented'])}</div>"
+        '<div class="share"><p>What was found, nearest words included, removes '
+        f"<b>{_percent(share)}</b>{interval} of the error that a black box with the same inputs can remove.</p>"
+        f"{_bar(share, plots.COLOURS['augmented'])}</div>"
     )
 
 

@@ -18,8 +18,8 @@ from simgap.effects.effect import Scales
 from simgap.types import DivergenceError
 
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
-BATCHES = (4, 12)
-"""Directions or trials are evaluated side by side in one of these numbers, each compiled once."""
+BATCH = 8
+"""Directions or trials that are evaluated side by side: one number, for each is compiled anew."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
 STEPS = (1.0, 0.5, 0.2, 0.05)
@@ -156,7 +156,7 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
     """Innovations in the outputs' own units, zero in rows that do not count."""
-    several = stacked([v] * BATCHES[0])
+    several = stacked([v] * BATCH)
     return np.asarray(innovations_of(problem.augmented, problem.scales, several, problem.chunks)[0])
 
 
@@ -173,15 +173,14 @@ def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n 
 
 def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.ndarray:
     count = len(many.phi)
-    size = min((b for b in BATCHES if b >= count), default=BATCHES[-1])
 
     def batch(first: int) -> np.ndarray:
-        # The last batch is filled up by repetition, so that it has one of the compiled sizes.
-        index = np.minimum(np.arange(first, first + size), count - 1)
+        # The last batch is filled up by repetition.
+        index = np.minimum(np.arange(first, first + BATCH), count - 1)
         raw = counted(problem.chunks, function(Variables(*(a[index] for a in many))))
         return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
 
-    return np.concatenate(side_by_side(batch, range(0, count, size)))
+    return np.concatenate(side_by_side(batch, range(0, count, BATCH)))
 
 
 def side_by_side(function: Callable, items: Iterable) -> list:

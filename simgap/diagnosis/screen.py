@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.candidates import Candidate
-from simgap.diagnosis.fit import BATCHES, Fit, Problem, replaced, side_by_side, trials, weights
+from simgap.diagnosis.fit import BATCH, Fit, Problem, replaced, side_by_side, trials, weights
 from simgap.diagnosis.innovations import Variables
 
 BLOCK = 20
@@ -87,7 +87,7 @@ def screen(
     low, _ = problem.augmented.bounds
 
     def batch(first: int) -> list[tuple[Screened, np.ndarray]]:
-        some = directions[first : first + BATCHES[-1]]
+        some = directions[first : first + BATCH]
         vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
         change = trials(problem, vs) - fit.e
         d = change.reshape(len(some), -1) * root
@@ -96,7 +96,7 @@ def screen(
         tested = (_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True))
         return [t for t in tested if t is not None]
 
-    results = [t for part in side_by_side(batch, range(0, len(directions), BATCHES[-1])) for t in part]
+    results = [t for part in side_by_side(batch, range(0, len(directions), BATCH)) for t in part]
     found, scores = [s for s, _ in results], [score for _, score in results]
     noise = _best_of_noise(np.array(scores), rng)
     best = max((s.statistic for s in found), default=0.0)

@@ -7,7 +7,7 @@ from planted import SPOT, recordings
 
 from simgap.diagnosis import explain as explanation
 from simgap.diagnosis.explain import Explanation
-from simgap.diagnosis.fit import BATCHES, Problem
+from simgap.diagnosis.fit import BATCH, Problem
 from simgap.diagnosis.innovations import Chunks, Variables, cut, innovations_of
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE
@@ -39,7 +39,7 @@ def problem(training: list[Recording]) -> Problem:
 
 def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> np.ndarray:
     """Innovations [C, t, s] of one value of the variables."""
-    several = jax.tree.map(lambda a: jnp.repeat(a[None], BATCHES[0], 0), v)
+    several = jax.tree.map(lambda a: jnp.repeat(a[None], BATCH, 0), v)
     return np.asarray(innovations_of(augmented, scales, several, chunks)[0])
 
 

@@ -11,7 +11,7 @@ from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, acting, innovations, sessions
 
 from examples.drive import DRIVE
-from simgap.diagnosis.fit import BATCHES
+from simgap.diagnosis.fit import BATCH
 from simgap.diagnosis.innovations import (
     LENGTH,
     PAD,
@@ -211,7 +211,7 @@ def test_tangents_agree_with_finite_differences() -> None:
     constants = {k: v for key in SMOOTH for k, v in everywhere(key).items()}
     v = truth(constants)._replace(gain=rng.normal(size=12).astype(np.float32))
     chunks = cut(nothing_planted(), 1 / 15)
-    phi, gain = (rng.normal(size=(BATCHES[-1], n)).astype(np.float32) for n in (24, 12))
+    phi, gain = (rng.normal(size=(BATCH, n)).astype(np.float32) for n in (24, 12))
     got = np.asarray(tangents(SPOT, SCALES, v, phi, gain, chunks))
     h = 3e-3
     for i, tangent in enumerate(got[:3]):
