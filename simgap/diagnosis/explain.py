@@ -13,7 +13,7 @@ from simgap.diagnosis.left_over import LeftOver, left_over, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
-from simgap.diagnosis.search import Round, Say, search, without
+from simgap.diagnosis.search import Model, Round, Say, search, without
 from simgap.diagnosis.times import acts_when, pushed
 from simgap.diagnosis.when import When, gate
 from simgap.effects.augmented import Augmented
@@ -91,7 +91,8 @@ def explain(
         agree = lambda *_: True  # noqa: E731  # no session of the baseline is held out
         known = search(before, evaluate(before, as_is.v, ()), throughout, agree, rng, say).model.fit
         as_is = evaluate(problem, known.v, known.groups)
-        hypotheses = [changed(c) for c in throughout]
+        # What both have and the baseline alone was too short to show is no change.
+        hypotheses = [*throughout, *(changed(c) for c in throughout)]
 
     def helps(problem: Problem, without: Fit, with_it: Fit) -> bool:
         # What acts in one session of training only is nothing to the others.
@@ -117,12 +118,32 @@ def explain(
     when = next((m.when for m in members if m.when), None)
     unseen = seen_at(unseen, when)
     say("looking at the scatter that is left")
-    scattered = scatter(model.problem, model.fit, unseen)
-    base, _ = optimise(model.problem, evaluate(model.problem, searched.base.v, searched.base.groups))
+    scattered = _scatter_since(model, training, baseline, unseen) if baseline else scatter(*model[:2], unseen)
+    before = searched.base
+    if baseline:
+        members = tuple(m for m in members if m.candidate.twin)
+        before = without(model.fit, [group for m in members for group in m.candidate.groups])
+    base, _ = optimise(model.problem, evaluate(model.problem, before.v, before.groups))
     return Explanation(
         model.problem, as_is, base, model.fit, model.nuisance, members, scattered, left_over(model.problem, model.fit),
         unseen, when, [*searched.rounds, *rounds],
     )  # fmt: skip
+
+
+def _scatter_since(
+    model: Model, training: Sequence[Recording], baseline: Sequence[Recording], unseen: Chunks
+) -> list[Scatter]:
+    """Effects on the scatter that the baseline does not agree to."""
+    problem, fit, _ = model
+
+    def on(chunks: Chunks, seen: Chunks) -> list[Scatter]:
+        at = problem._replace(chunks=chunks)
+        return scatter(at, evaluate(at, fit.v, fit.groups, fit.noise), seen)
+
+    time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
+    after, before = (cut(sessions, time_step, least) for sessions in (training, baseline))
+    known = {s.id for s in on(after, before._replace(gate=0 * before.gate))}
+    return [s for s in on(after, unseen) if s.id not in known]
 
 
 def _since(chunks: Chunks, baseline: int) -> np.ndarray:

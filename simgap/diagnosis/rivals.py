@@ -37,7 +37,9 @@ def defend(
     """
     model, base = found.model, found.base
     if len(found.chosen) == 1:
-        return model, (member(model.problem, found.rounds[0].tried, base),), []
+        # The outputs are decorrelated anew since the model without it was fitted: what both leave is compared as one.
+        rest = evaluate(model.problem, base.v, base.groups)
+        return model, (member(model.problem, found.rounds[0].tried, rest),), []
     members, rounds = [], []
     for candidate in found.chosen:
         say(f"{candidate.name} against its rivals, given the other effects")
@@ -46,7 +48,7 @@ def defend(
         reduced = Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups)))
         tried = one_more(reduced, candidates, rng, say)
         rounds.append(tried)
-        own = Tried(candidate, fit, fit.loglik - reduced.fit.loglik)
+        own = Tried.of(candidate, fit, reduced.fit)
         rivals = [t for t in tried.tried if t.candidate.name != candidate.name]
         better = _better(reduced, rivals, own, helps)
         if better is not None:
@@ -65,7 +67,7 @@ def defend(
 def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps) -> Tried | None:
     """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
     ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
-    return next((t for t in ahead if helps(reduced.problem, reduced.fit, t.fit)), None)
+    return next((t for t in ahead if helps(reduced.problem, t.without, t.fit)), None)
 
 
 def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:

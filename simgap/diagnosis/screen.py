@@ -113,11 +113,12 @@ def _beyond_twin(
     root: np.ndarray,
 ) -> Float[np.ndarray, "k m"]:
     """Directions less their part along the same effect acting everywhere, for hypotheses that have such a twin."""
-    if not any(candidate.twin for candidate, _, _ in some):
+    have = [i for i, (candidate, _, _) in enumerate(some) if candidate.twin]
+    if not have:
         return d
-    twins = [vary(fit.v, candidate._replace(groups=candidate.twin), values) for candidate, values, _ in some]
-    change = trials(problem, twins) - fit.e
-    t = change.reshape(len(some), -1) * root
+    twins = [vary(fit.v, c._replace(groups=c.twin), values) for c, values, _ in (some[i] for i in have)]
+    t = np.zeros_like(d)
+    t[have] = (trials(problem, twins) - fit.e).reshape(len(have), -1) * root
     power = (t * t).sum(1, keepdims=True)
     return d - t * (d * t).sum(1, keepdims=True) / np.maximum(power, NOTHING)
 

@@ -56,11 +56,20 @@ class Model(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """A hypothesis with its constants fitted: gain in log-likelihood over the model without it [nats]."""
+    """A hypothesis with its constants fitted: gain in log-likelihood over the model without it [nats].
+
+    Without a change since a baseline, the effect may be there all along: `without` has its twin fitted.
+    """
 
     candidate: Candidate
     fit: Fit
+    without: Fit
     gain: float
+
+    @staticmethod
+    def of(candidate: Candidate, fit: Fit, without: Fit) -> "Tried":
+        """With the gain that the two fits make."""
+        return Tried(candidate, fit, without, fit.loglik - without.loglik)
 
 
 class Round(NamedTuple):
@@ -124,8 +133,7 @@ def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Gener
     tried.sort(key=lambda t: -t.gain)
 
     def further(t: Tried, fit_further: Callable[[Fit], Fit]) -> Tried:
-        done = fit_further(t.fit)
-        return t._replace(fit=done, gain=done.loglik - fit.loglik)
+        return Tried.of(t.candidate, fit_further(t.fit), t.without)
 
     finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, nuisance, HELD)), tried[:FINALISTS])
     # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
@@ -139,12 +147,13 @@ def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Gener
 def _promising(found: Sequence[Screened]) -> list[Screened]:
     """The best start of the best two hypotheses of each effect, best first."""
     chosen: list[Screened] = []
-    seen: set[tuple[str, str]] = set()
+    seen: set[tuple[str, bool, str]] = set()
     for s in found:
-        name = (s.candidate.effect.key, s.candidate.where)
+        key = (s.candidate.effect.key, bool(s.candidate.twin))
+        name = (*key, s.candidate.where)
         if s.gain < 2 or name in seen:
             continue
-        if sum(c.candidate.effect.key == s.candidate.effect.key for c in chosen) < 2:
+        if sum((c.candidate.effect.key, bool(c.candidate.twin)) == key for c in chosen) < 2:
             chosen.append(s)
             seen.add(name)
         if len(chosen) == FITTED:
@@ -156,10 +165,14 @@ def _try(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], s: Sc
     v = vary(fit.v, s.candidate, s.start)
     if s.candidate.effect.jagged:
         v = _summit(problem, fit, s)
-    twin = (g for g in s.candidate.twin if g not in fit.groups)
+    twin = tuple(g for g in s.candidate.twin if g not in fit.groups)
     begun = evaluate(problem, v, (*fit.groups, *twin, *s.candidate.groups), fit.noise)
-    done = refine(problem, begun, nuisance, iterations)
-    return Tried(s.candidate, done, done.loglik - fit.loglik)
+    done, rest = refine(problem, begun, nuisance, iterations), fit
+    if twin:
+        there = vary(fit.v, s.candidate._replace(groups=s.candidate.twin), s.start)
+        begun = evaluate(problem, there, (*fit.groups, *twin), fit.noise)
+        rest = max(fit, refine(problem, begun, nuisance, iterations + HELD), key=lambda f: f.loglik)
+    return Tried.of(s.candidate, done, rest)
 
 
 def _summit(problem: Problem, fit: Fit, s: Screened) -> Variables:
@@ -184,7 +197,7 @@ def search(
         found = one_more(model, candidates, rng, say)
         owed = found.screening.threshold / 2
         worthy = [t for t in found.tried if t.gain > max(owed, least(model.problem, base, model.fit, t.fit))]
-        best = next((t for t in worthy if helps(model.problem, model.fit, t.fit)), None)
+        best = next((t for t in worthy if helps(model.problem, t.without, t.fit)), None)
         for t in worthy[: worthy.index(best)] if best else worthy:
             say(f"{t.candidate.name} does not hold on sessions that took no part")
         if best is None:

@@ -80,6 +80,7 @@ def test_planted_effects_are_named_with_their_constants(
     assert [m.candidate.effect.id for m in found.members] == [KEYS[key].id]
     (member,) = found.members
     assert member.odds[KEYS[key].id] > 0.9
+    assert found.names(member)
     assert member.candidate.effect.key == key
     if key != "sensor_bias":  # of two positions only the difference counts: either may be off
         assert member.candidate.sites == sites
