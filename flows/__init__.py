@@ -5,6 +5,8 @@ Importing this package settles what libraries read from the environment at their
 
 import os
 
+from flows import running
+
 _DEFAULTS = {
     # Several cells train side by side, a thread each: no library may spread one cell's work over the cores.
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
@@ -25,4 +27,8 @@ _DEFAULTS = {
 for _name, _value in _DEFAULTS.items():
     os.environ.setdefault(_name, _value)
 if "PREFECT_API_URL" not in os.environ:
+    if "PREFECT_HOME" not in os.environ and (_server := running.find("prefect")):
+        os.environ["PREFECT_API_URL"] = (
+            f"{_server.address}/api"  # `make up`: a flow starts in a second, and is seen there
+        )
     os.environ.setdefault("PREFECT_HOME", os.path.abspath(".prefect"))

@@ -16,6 +16,10 @@ _EVERY_S = 15.0
 console = Console()
 
 
+class Stopped(BaseException):
+    """Raised by `report` in work that is to end: the process was told to."""
+
+
 class Bars:
     """A bar for the whole and one for each job under way; safe to use from several threads."""
 
@@ -25,6 +29,11 @@ class Bars:
         self._what, self._total, self._done = what, total, 0
         self._spoke = clock()
         self._lock = threading.Lock()
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End the jobs under way, each at its next report."""
+        self._stopped.set()
 
     @contextmanager
     def job(self, name: str, steps: int) -> Iterator[Report]:
@@ -33,6 +42,8 @@ class Bars:
         start = self._clock()
 
         def report(step: int, metrics: dict[str, float]) -> None:
+            if self._stopped.is_set():
+                raise Stopped(name)
             rate = step / max(self._clock() - start, 1e-9)
             shown = ", ".join(f"{k.replace('_', ' ')} {v:.2f}" for k, v in metrics.items())
             self._progress.update(bar, completed=step, rate=f"{rate:,.0f} steps/s  {shown}")
@@ -63,6 +74,14 @@ def bars(what: str, total: int, clock: Callable[[], float]) -> Iterator[Bars]:
                TimeRemainingColumn(), TextColumn("{task.fields[rate]}"))  # fmt: skip
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield Bars(progress, what, total, clock)
+
+
+@contextmanager
+def plain_job(name: str, _steps: int) -> Iterator[Report]:
+    """A job in a process that has no bars: a line when it begins and when it is done."""
+    say(f"{name}: begun")
+    yield lambda _step, _metrics: None
+    say(f"{name}: done")
 
 
 def table(title: str, rows: Sequence[dict[str, Any]]) -> None:

@@ -54,11 +54,12 @@ _REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxty
 
 @dataclass(frozen=True)
 class Store:
-    """Where runs are kept: tracking URI and experiment."""
+    """Where runs are kept: tracking URI and experiment; the address of MLflow's pages, where they are served."""
 
     uri: str
     experiment: str
     experiment_id: str
+    pages: str = ""
 
     @property
     def client(self) -> MlflowClient:
@@ -66,7 +67,7 @@ class Store:
         return MlflowClient(self.uri)
 
 
-def open_store(root: Path, experiment: str, uri: str | None = None) -> Store:
+def open_store(root: Path, experiment: str, uri: str | None = None, pages: str = "") -> Store:
     """The experiment in SQLite at `root/mlflow.db` with artifacts under `root/mlruns`, or in the store at `uri`.
 
     Creates what is missing, one process at a time (MLflow's migrations die when two run them at once), so call it
@@ -79,7 +80,7 @@ def open_store(root: Path, experiment: str, uri: str | None = None) -> Store:
     artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
     with (root / "mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return Store(uri, experiment, _experiment_id(MlflowClient(uri), experiment, artifacts))
+        return Store(uri, experiment, _experiment_id(MlflowClient(uri), experiment, artifacts), pages)
 
 
 def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
@@ -118,9 +119,28 @@ class Run:
         """A text for people, shown on top of the run's page."""
         self.tags({MLFLOW_RUN_NOTE: text})
 
-    def artifact(self, path: Path) -> None:
-        """A file, kept beside the run under its name."""
-        self.store.client.log_artifact(self.run_id, str(path))
+    def artifact(self, path: Path, folder: str | None = None) -> None:
+        """A file, kept beside the run under its name, in a folder there where one is given."""
+        self.store.client.log_artifact(self.run_id, str(path), folder)
+
+    def table(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Rows of the same keys as the table `<name>.json`, which MLflow's pages show side by side for several runs."""
+        self.store.client.log_table(self.run_id, pd.DataFrame(rows), f"{name}.json")
+
+    def register(self, name: str, aliases: Sequence[str], tags: Mapping[str, str]) -> None:
+        """The run's model as the next version of the registered model `name`, found by these aliases from now on."""
+        client, run = self.store.client, self.store.client.get_run(self.run_id)
+        model = client.get_logged_model(run.outputs.model_outputs[-1].model_id)  # type: ignore[union-attr]
+        try:
+            client.create_registered_model(name)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                raise
+        made = client.create_model_version(
+            name, model.artifact_location, self.run_id, tags=dict(tags), model_id=model.model_id
+        )
+        for alias in aliases:
+            client.set_registered_model_alias(name, alias, str(made.version))
 
     def curve(self, steps: Sequence[int], metrics: Mapping[str, Sequence[float]]) -> None:
         """Training curves, as `training/<name>`: at most 100 points each, with the first, last, least and greatest."""
@@ -263,8 +283,9 @@ def _run(store: Store, name: str, tags: dict[str, str]) -> Iterator[Run]:
     store.client.set_terminated(run.run_id)
 
 
-def latest_run(store: Store, tags: Mapping[str, str]) -> Run | None:
-    """Of the finished runs with these tags, the one that began last."""
+def latest_run(store: Store, tags: Mapping[str, str], parent_run_id: str | None = None) -> Run | None:
+    """Of the finished runs with these tags, of that parent where it is given, the one that began last."""
+    tags = {**tags, MLFLOW_PARENT_RUN_ID: parent_run_id} if parent_run_id else tags
     query = " and ".join(
         ["attributes.status = 'FINISHED'", *(f"tags.`{key}` = '{value}'" for key, value in tags.items())]
     )
@@ -302,8 +323,8 @@ def _alive(pid: int, since_s: float) -> bool:
 def link(store: Store, run_id: str) -> str:
     """How a person finds the run: its address, or the command that serves it and the address then."""
     page = f"#/experiments/{store.experiment_id}/runs/{run_id}"
-    if store.uri.startswith("http"):
-        return f"{_without_password(store.uri).rstrip('/')}/{page}"
+    if store.pages or store.uri.startswith("http"):
+        return f"{_without_password(store.pages or store.uri).rstrip('/')}/{page}"
     served = f"mlflow ui --backend-store-uri {shlex.quote(_without_password(store.uri))}"
     name = store.client.get_run(run_id).info.run_name
     return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
