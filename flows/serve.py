@@ -4,7 +4,6 @@ import argparse
 import asyncio
 from pathlib import Path
 
-import yaml
 from prefect.deployments.runner import RunnerDeployment
 from prefect.runner import Runner
 from prefect.types.entrypoint import EntrypointType
@@ -13,7 +12,7 @@ from flows import deployments, sweep
 from flows.running import LOGS
 from flows.start import PARAMS, guarded
 from tasks import files, forms
-from tasks.params import Params, load_params
+from tasks.params import Params, load_params, read_yaml
 
 READY = LOGS / "deployments.ready"
 """There while the deployments are served."""
@@ -42,7 +41,7 @@ async def _serve(deployments: list[RunnerDeployment], runs: int) -> None:
 def made() -> list[RunnerDeployment]:
     """Every deployment, its form filled in from params.yaml; those called small, from small.yaml besides."""
     found = []
-    for size, overrides in (("full", []), ("small", [yaml.safe_load(Path("small.yaml").read_text())])):
+    for size, overrides in (("full", []), ("small", [read_yaml(Path("small.yaml"))])):
         params, rest = load_params(PARAMS, *overrides), forms.besides(overrides[0] if overrides else {})
         grid = forms.defaults(params, SOURCE)
         whole = {name: value for name, value in grid.items() if name != "hyperparameters"}

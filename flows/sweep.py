@@ -46,7 +46,7 @@ def run(
     name = str(flow_run.get_name())
     root = forms.folder(name)
     grid = {"models": models, "noises": noises, "sample_sizes": sample_sizes, "seeds": seeds}
-    base = [recordings.overrides(), {"train": grid}]
+    base = [recordings.overrides(load_params(PARAMS)), {"train": grid}]
     params = load_params(PARAMS, *base)
     forms.check_source(params, recordings.source)
     cells = sweep.cells(root, recordings.source, hyperparameters, lambda more: load_params(PARAMS, *base, more))
@@ -97,9 +97,10 @@ def _score(cells: dict[Place, Params], parent: tracking.Run) -> list[sweep.Row]:
 
 def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: tracking.Store, parent: tracking.Run) -> None:
     """The results as a table and links in Prefect's pages and in the terminal."""
-    linked = sweep.table(rows, lambda row: f"[{row.run_id}]({tracking.link(store, row.run_id)})")
+    linked = sweep.table(rows, lambda row: f"[MLflow]({tracking.link(store, row.run_id)})")
     artifacts.table("sweep-results", linked, f"Sweep {name}, best first. Best: {best.title}.")
-    places = {"MLflow": tracking.link(store, parent.run_id), "folder": str(forms.folder(name))}
+    side_by_side = {"compare": tracking.compare(store, "sweep", name)} if store.pages else {}
+    places = {"MLflow": tracking.link(store, parent.run_id), **side_by_side, "folder": str(forms.folder(name))}
     artifacts.links("sweep-links", places, f"Sweep {name}")
     progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))
     progress.say("\n".join(f"{what:8}{place}" for what, place in places.items()))

@@ -29,7 +29,7 @@ from simgap.policies.actor import Actor
 from simgap.recordings import Normalisation, check_recording
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
-from simgap.types import Recording, RecordingError, Schema, SimgapError
+from simgap.types import Field, Recording, RecordingError, Schema, SimgapError
 
 SUFFIXES = (".csv", ".parquet", ".pickle")
 """What a session's file may end in, in upper or lower case."""
@@ -138,6 +138,19 @@ def _columns(path: Path, schema: Schema, time_step: float) -> _Columns:
         return _pickle_columns(path, schema, time_step)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error}). Mend or remove the file.") from None
+
+
+def read_table(path: Path, columns: Sequence[str]) -> _Columns:
+    """Columns of a CSV or Parquet file as numbers, blanks as NaN; RecordingError names file, column and row."""
+    schema = Schema(state=(), command=tuple(Field(name, "", "position", "world") for name in columns))
+    try:
+        found = _csv_columns(path, schema) if path.suffix.lower() == ".csv" else _parquet_columns(path, schema)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error}). Mend or remove the file.") from None
+    missing = [name for name in columns if name not in found]
+    if missing:
+        raise RecordingError(f"{path}: column {', '.join(missing)} is missing. Mend the mapping file, or leave it out.")
+    return found
 
 
 def _refuse_duplicates(path: Path, header: Sequence[str], schema: Schema) -> None:

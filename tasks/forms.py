@@ -60,9 +60,15 @@ class Recordings(_Form):
     test_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
     session_s: float = Field(0, ge=0, le=3600, description="Their length [s]; 0: as in params.yaml.")
 
-    def overrides(self) -> dict[str, Any]:
-        """What it changes in params.yaml."""
-        block = {name: value for name, value in self.model_dump(exclude={"source"}).items() if value}
+    def overrides(self, params: Params) -> dict[str, Any]:
+        """What it changes in params.yaml; a block has fields for the virtual robot or a folder, not both."""
+        fields = type(params.source(self.source)).model_fields
+        block = {name: value for name, value in self.model_dump(exclude={"source"}).items() if value and name in fields}
+        if self.folder and "folder" not in fields:
+            raise ConfigError(
+                f"recordings.folder: the source {self.source} has no folder, its robot is virtual. Name a source with "
+                "one, such as spot, or leave the folder empty."
+            )
         return {"recordings": {self.source: block}} if block else {}
 
 

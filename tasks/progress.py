@@ -3,9 +3,11 @@
 import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
+from prefect.exceptions import MissingContextError
+from prefect.logging import get_run_logger
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -64,7 +66,7 @@ class Bars:
         with self._lock:
             if always or self._clock() - self._spoke > _EVERY_S:
                 self._spoke = self._clock()
-                console.print(line, highlight=False, soft_wrap=True)
+                say(line)
 
 
 @contextmanager
@@ -90,7 +92,8 @@ def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
         return
     view = Table(title=title, title_justify="left")
     for name in rows[0]:
-        view.add_column(name.replace("_", " "), justify="left" if isinstance(rows[0][name], str) else "right")
+        justify = "left" if isinstance(rows[0][name], str) else "right"
+        view.add_column(name.replace("_", " "), justify=justify, overflow="fold")
     for row in rows:
         view.add_row(*(f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()))
     console.print(view)
@@ -99,6 +102,13 @@ def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 def say(line: str) -> None:
     """Print a line as it is, above the bars if there are any: a unit in brackets is no style."""
     console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    _log(line)
+
+
+def _log(line: str) -> None:
+    """The line for Prefect's pages, where a flow runs; in a terminal Prefect prints warnings and errors alone."""
+    with suppress(MissingContextError):
+        get_run_logger().info(line)
 
 
 def quiet_libraries() -> None:

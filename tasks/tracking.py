@@ -5,6 +5,7 @@ Every call names its store and its run: no active run, which is per thread, and 
 would write into the environment. A `Store` and a `Run` are names only; they travel to other threads and processes.
 """
 
+import base64
 import fcntl
 import json
 import math
@@ -13,6 +14,7 @@ import re
 import shlex
 import socket
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -44,6 +46,10 @@ NON_FINITE = "non_finite"
 ERROR = "error"
 """Tag with what ended a run early."""
 
+# The pages open in a mode for language models otherwise.
+_TRAINING, _KIND, _TRAINING_KIND = "?workflowType=machine_learning", "mlflow.experimentKind", "custom_model_development"
+_COLUMNS = ("metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`seconds`",
+            "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`")  # fmt: skip
 _HOST, _PID = "simgap.host", "simgap.pid"
 _POINTS = 100  # a curve's, more than a plot shows
 _PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
@@ -86,7 +92,7 @@ def open_store(root: Path, experiment: str, uri: str | None = None, pages: str =
 def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
     found = client.get_experiment_by_name(name)
     if found is None:
-        return client.create_experiment(name, artifact_location=artifacts)
+        return client.create_experiment(name, artifact_location=artifacts, tags={_KIND: _TRAINING_KIND})
     if found.lifecycle_stage != "active":
         raise SimgapError(
             f"The MLflow experiment {name!r} must be active and is {found.lifecycle_stage}. Restore it with "
@@ -322,12 +328,22 @@ def _alive(pid: int, since_s: float) -> bool:
 
 def link(store: Store, run_id: str) -> str:
     """How a person finds the run: its address, or the command that serves it and the address then."""
-    page = f"#/experiments/{store.experiment_id}/runs/{run_id}"
+    page = f"#/experiments/{store.experiment_id}/runs/{run_id}{_TRAINING}"
     if store.pages or store.uri.startswith("http"):
         return f"{_without_password(store.pages or store.uri).rstrip('/')}/{page}"
     served = f"mlflow ui --backend-store-uri {shlex.quote(_without_password(store.uri))}"
     name = store.client.get_run(run_id).info.run_name
     return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
+
+
+def compare(store: Store, tag: str, value: str) -> str:
+    """Where the runs with this tag stand side by side in the pages, best first, with the columns one wants."""
+    state = {"searchFilter": f"tags.{tag} = '{value}'", "selectedColumns": _COLUMNS, "orderByKey": _COLUMNS[0],
+             "orderByAsc": True}  # fmt: skip
+    # As the pages' own button for sharing a view writes it.
+    packed = "deflate;" + base64.b64encode(zlib.compress(json.dumps(state).encode())).decode()
+    store.client.set_experiment_tag(store.experiment_id, f"mlflow.sharedViewState.{value}", packed)
+    return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={value}"
 
 
 def _without_password(uri: str) -> str:
