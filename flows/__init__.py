@@ -22,6 +22,8 @@ _DEFAULTS = {
     "DO_NOT_TRACK": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
+    # A server that is gone is told of after half a minute, not after four.
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "4",
     "DVC_NO_ANALYTICS": "1",
 }
 for _name, _value in _DEFAULTS.items():

@@ -13,7 +13,7 @@ import pickle
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 from uuid import uuid4
@@ -547,6 +547,15 @@ def digest(paths: Sequence[Path]) -> str:
     return total.hexdigest()[:16]
 
 
+def fingerprint_of(record: Path, arrays: Path) -> str | None:
+    """The fingerprint that a record has, if it and the arrays that it is of are there and whole."""
+    try:
+        load_arrays(arrays)
+        return read_json(record).get("fingerprint")
+    except (SimgapError, AttributeError):
+        return None
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder, if it is not there, and see that it can be written to; SimgapError that says why not."""
     try:
@@ -572,10 +581,16 @@ def _missing(path: Path) -> str:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to, which takes its place when all went well and is deleted otherwise."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{uuid4().hex}.tmp")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        raise SimgapError(
+            f"{path}: cannot be written ({error.strerror or error}). Make room, or mend the folder's permissions, and "
+            "start again: what is finished is not repeated."
+        ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)

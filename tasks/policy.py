@@ -1,7 +1,7 @@
 """Stage `policy`: one policy a model of the grid, learnt inside it."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +13,11 @@ from simgap.policies.environment import LearntSpot, box
 from simgap.policies.learn import Training
 from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
-from simgap.types import Report, SimgapError
+from simgap.types import Report
 from tasks import files, tracking, transitions
 from tasks.fingerprint import of_policy, relevant_policy_params
 from tasks.params import PolicyParams
-from tasks.train import Job
+from tasks.train import Job, may_pass
 from tasks.workspace import Cell, Workspace
 
 
@@ -39,12 +39,7 @@ def grid(params: PolicyParams) -> list[Cell]:
     ]
 
 
-def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
-    """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
-    return not isinstance(state.result(raise_on_failure=False), SimgapError)
-
-
-@task(task_run_name="policy-{cell.name}", retries=1, retry_condition_fn=_may_pass)
+@task(task_run_name="policy-{cell.name}", retries=1, retry_condition_fn=may_pass)
 def learn_policy(
     workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, job: Job, clock: Callable[[], float]
 ) -> None:
@@ -66,8 +61,7 @@ def learn_policy(
 
 def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
     """Whether the cell's policy was learnt before in the same model, with the same parameters and code."""
-    policy, record = workspace.policy(cell), workspace.policy_record(cell)
-    return policy.exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
+    return files.fingerprint_of(workspace.policy_record(cell), workspace.policy(cell)) == fingerprint
 
 
 def _learn(
@@ -116,13 +110,13 @@ class Checkpoint:
     def load(
         self, environment: LearntSpot, params: PolicyParams
     ) -> tuple[Training | None, dict[str, list[float]], float]:
-        """State, curve so far and seconds spent; nothing where there is none of the same fingerprint."""
-        if not (self._arrays.exists() and self._curve.exists()):
+        """State, curve so far and seconds spent; nothing where none of the same fingerprint is there and whole."""
+        if files.fingerprint_of(self._curve, self._arrays) != self._mark:
             return None, {}, 0.0
         known = files.read_json(self._curve)
         arrays = files.load_arrays(self._arrays)
         evaluations = int(arrays.pop("evaluations"))
-        if known["fingerprint"] != self._mark or evaluations != len(known["curve"]["step"]):
+        if evaluations != len(known["curve"]["step"]):
             return None, {}, 0.0
         training = learn.from_arrays(arrays, environment, params.learning, params.sac)
         return training, known["curve"], known["seconds"]

@@ -16,7 +16,7 @@ import socket
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -32,10 +32,11 @@ from mlflow.exceptions import MlflowException
 from mlflow.models import Model, ModelSignature
 from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
+from sqlalchemy.exc import SQLAlchemyError
 
 from simgap.types import Schema as RobotSchema
 from simgap.types import SimgapError
-from tasks import augmented_pyfunc, policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, files, policy_pyfunc, pyfunc
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -54,6 +55,7 @@ _HOST, _PID = "simgap.host", "simgap.pid"
 _POINTS = 100  # a curve's, more than a plot shows
 _PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
 _CLOCK_SLACK_S = 60.0
+_PATIENCE_S = 60  # with a database that another process has locked
 # The project itself is left out: it is on no index, and the name may come to be another's there.
 _REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxtyping", "numpy", "scipy", "pandas")]
 
@@ -68,9 +70,57 @@ class Store:
     pages: str = ""
 
     @property
-    def client(self) -> MlflowClient:
+    def client(self) -> Any:
         """MLflow's client; it keeps one connection pool per URI and process, so that making one costs nothing."""
-        return MlflowClient(self.uri)
+        return _Client(self.uri)
+
+
+class StoreError(SimgapError):
+    """The store did not do what was asked of it; that may pass. `code`: MLflow's word for it."""
+
+    code = ""
+
+
+class _Client:
+    """MLflow's client, whose errors explain themselves."""
+
+    def __init__(self, uri: str) -> None:
+        # Other processes write too; SQLite would give up after five seconds.
+        self._uri = uri
+        with _explaining(uri):
+            self._client = MlflowClient(f"{uri}?timeout={_PATIENCE_S}" if _plain_file(uri) else uri)
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._client, name)
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            with _explaining(self._uri):
+                return method(*args, **kwargs)
+
+        return call
+
+
+def _plain_file(uri: str) -> bool:
+    return uri.startswith("sqlite:///") and "?" not in uri
+
+
+@contextmanager
+def _explaining(uri: str) -> Iterator[None]:
+    try:
+        yield
+    except (MlflowException, SQLAlchemyError, OSError) as error:
+        raise _explained(uri, error) from error
+
+
+def _explained(uri: str, error: Exception) -> StoreError:
+    first = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    explained = StoreError(
+        f"The MLflow store {_without_password(uri)} refused ({first[:_ERROR_LENGTH]}). What was computed is kept in "
+        "its files. See that the store is there, has room, may be written to and is not locked; then start again: what "
+        "is finished is not repeated."
+    )
+    explained.code = getattr(error, "error_code", "")
+    return explained
 
 
 def open_store(root: Path, experiment: str, uri: str | None = None, pages: str = "") -> Store:
@@ -80,16 +130,16 @@ def open_store(root: Path, experiment: str, uri: str | None = None, pages: str =
     before any fan-out.
     """
     root = root.resolve()
-    root.mkdir(parents=True, exist_ok=True)
+    files.make_folder(root)
     uri = uri or f"sqlite:///{root / 'mlflow.db'}"
     # A server says itself where artifacts go; to a database the client would write them under its working directory.
     artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
     with (root / "mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return Store(uri, experiment, _experiment_id(MlflowClient(uri), experiment, artifacts), pages)
+        return Store(uri, experiment, _experiment_id(_Client(uri), experiment, artifacts), pages)
 
 
-def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
+def _experiment_id(client: Any, name: str, artifacts: str | None) -> str:
     found = client.get_experiment_by_name(name)
     if found is None:
         return client.create_experiment(name, artifact_location=artifacts, tags={_KIND: _TRAINING_KIND})
@@ -139,8 +189,8 @@ class Run:
         model = client.get_logged_model(run.outputs.model_outputs[-1].model_id)  # type: ignore[union-attr]
         try:
             client.create_registered_model(name)
-        except MlflowException as error:
-            if error.error_code != "RESOURCE_ALREADY_EXISTS":
+        except StoreError as error:
+            if error.code != "RESOURCE_ALREADY_EXISTS":
                 raise
         made = client.create_model_version(
             name, model.artifact_location, self.run_id, tags=dict(tags), model_id=model.model_id
@@ -187,7 +237,7 @@ class Run:
         inputs = [DatasetInput(dataset, [InputTag(MLFLOW_DATASET_CONTEXT, context)])]
         try:
             self.store.client.log_inputs(self.run_id, datasets=inputs)
-        except MlflowException:
+        except StoreError:
             # Another run entered the same data set between MLflow's look and its insert: now it is there to be found.
             self.store.client.log_inputs(self.run_id, datasets=inputs)
 
@@ -283,8 +333,9 @@ def _run(store: Store, name: str, tags: dict[str, str]) -> Iterator[Run]:
     try:
         yield run
     except BaseException as error:
-        run.tags({ERROR: f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]})
-        store.client.set_terminated(run.run_id, "FAILED" if isinstance(error, Exception) else "KILLED")
+        with suppress(StoreError):  # what went wrong first is told; a run left open is closed at the next start
+            run.tags({ERROR: f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]})
+            store.client.set_terminated(run.run_id, "FAILED" if isinstance(error, Exception) else "KILLED")
         raise
     store.client.set_terminated(run.run_id)
 

@@ -59,11 +59,8 @@ def fit(cell: Cell, data: Transitions, simulator: Simulator, params: TrainParams
 
 
 def finished(workspace: Workspace, cell: Cell, fingerprint: str) -> bool:
-    """Whether the cell was trained before on the same data, parameters and code."""
-    record = workspace.record(cell)
-    return (
-        workspace.model(cell).exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
-    )
+    """Whether the cell was trained before on the same data, parameters and code; a damaged file is as none."""
+    return files.fingerprint_of(workspace.record(cell), workspace.model(cell)) == fingerprint
 
 
 class Grid(NamedTuple):
@@ -85,12 +82,13 @@ def steps_at_most(cell: Cell, params: TrainParams) -> int:
     return params.bnn.training_steps(cell.sample_size)
 
 
-def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
+def may_pass(_task: Any, _run: Any, state: Any) -> bool:
     """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
-    return not isinstance(state.result(raise_on_failure=False), SimgapError)
+    error = state.result(raise_on_failure=False)
+    return not isinstance(error, SimgapError) or isinstance(error, tracking.StoreError)
 
 
-@task(task_run_name="{cell.name}{workspace.suffix}", retries=1, retry_condition_fn=_may_pass)
+@task(task_run_name="{cell.name}{workspace.suffix}", retries=1, retry_condition_fn=may_pass)
 def train_cell(
     workspace: Workspace, cell: Cell, params: Params, grid: Grid, job: Job, clock: Callable[[], float]
 ) -> None:
