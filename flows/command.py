@@ -10,14 +10,19 @@ from flows.start import PARAMS, guarded
 
 def main() -> None:
     """A subcommand: status 0 whatever it finds, 1 with an explained error, 2 for wrong arguments."""
+    given = parser().parse_args()
+    # As `python -m` would: a simulator of one's own lies where the command is started.
+    sys.path.insert(0, str(Path.cwd()))
+    guarded(lambda: given.work(given))
+
+
+def parser() -> argparse.ArgumentParser:
+    """Of the command's arguments; what it gives has the subcommand's `work`."""
     parser = argparse.ArgumentParser("simgap", description="Find out what a simulator leaves out of its machine.")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for add in (_add_diagnose, _add_sweep, _add_import, _add_check):
         add(commands)
-    given = parser.parse_args()
-    # As `python -m` would: a simulator of one's own lies where the command is started.
-    sys.path.insert(0, str(Path.cwd()))
-    guarded(lambda: given.work(given))
+    return parser
 
 
 # Each imports what it runs when it is run: Prefect, MLflow and JAX take ten seconds, and no command needs all of them.

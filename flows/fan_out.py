@@ -3,10 +3,12 @@
 import os
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 from prefect import Task
+from prefect.client.orchestration import get_client
+from prefect.settings import PREFECT_API_URL, temporary_settings
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from tasks import artifacts, progress
@@ -29,7 +31,8 @@ def fan_out(
     failed: dict[Place, str] = {}
     cluster = os.environ.get(CLUSTER)
     runner = _dask(cluster) if cluster else ThreadPoolTaskRunner(max_workers=workers)
-    with progress.bars(what, len(cells), time.monotonic) as bars, runner:
+    served = _one_server() if cluster else nullcontext()
+    with progress.bars(what, len(cells), time.monotonic) as bars, served, runner:
         told = artifacts.Progress(what, len(cells))
         with _stopping(bars):
             # Bars are of this process; on a cluster, the lines are the workers'.
@@ -56,6 +59,11 @@ def _stopping(bars: progress.Bars) -> Iterator[None]:
         raise
 
 
+def _one_server() -> AbstractContextManager[Any]:
+    """Prefect's server in use here, told to the workers: each would start one of its own."""
+    return temporary_settings({PREFECT_API_URL: str(get_client(sync_client=True).api_url)})
+
+
 def _dask(cluster: str) -> TaskRunner[Any]:
     """Workers of one thread each, which import JAX once and keep it; those that die are replaced and their cells
     begun again, three times at most."""
@@ -63,5 +71,10 @@ def _dask(cluster: str) -> TaskRunner[Any]:
 
     if not cluster.isdigit():
         return DaskTaskRunner(address=cluster)
-    local = {"n_workers": int(cluster), "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+    local = {
+        "n_workers": int(cluster),
+        "threads_per_worker": 1,
+        "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0",
+    }
     return DaskTaskRunner(cluster_class="distributed.LocalCluster", cluster_kwargs=local)

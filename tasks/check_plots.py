@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 
 from simgap.types import Field, Recording, Schema
 
@@ -23,15 +24,17 @@ def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, 2.4), layout="constrained")
         ax = figure.add_subplot()
-        first = 0
+        first, low, high = 0, time_step / 2, time_step * 2
         for i, recording in enumerate(recordings):
             dt = np.diff(recording.time_s)
             rows = np.arange(first, first + len(dt))
             shown = np.unique([*np.linspace(0, len(dt) - 1, _POINTS).astype(int), dt.argmax()])
             ax.plot(rows[shown], dt[shown], ".", markersize=2, color=(_BLUE, _GREY)[i % 2])
-            first += len(dt)
+            first, low, high = first + len(dt), min(low, dt.min()), max(high, dt.max())
         ax.axhline(time_step, color="black", linewidth=0.8)
-        ax.set(xlabel="row, session after session", ylabel="interval [s]", yscale="log")
+        ax.set(xlabel="row, session after session", ylabel="interval [s]", yscale="log", ylim=(low / 1.1, high * 1.1))
+        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.yaxis.set_minor_formatter(StrMethodFormatter("{x:.2g}"))
         return _svg(figure)
 
 

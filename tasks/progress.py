@@ -113,7 +113,7 @@ def _log(line: str) -> None:
 
 def quiet_libraries() -> None:
     """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks of explained errors."""
-    for name in ("httpx", "alembic", "mlflow", "prefect"):
+    for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
     for name in ("prefect.flow_runs", "prefect.task_runs"):
         logging.getLogger(name).addFilter(_needs_a_traceback)

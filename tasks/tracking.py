@@ -113,7 +113,10 @@ def _explaining(uri: str) -> Iterator[None]:
 
 
 def _explained(uri: str, error: Exception) -> StoreError:
-    first = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    cause: BaseException = error
+    while within := cause.__cause__ or cause.__context__:
+        cause = within
+    first = next((line for line in str(cause).splitlines() if line.strip()), type(cause).__name__)
     explained = StoreError(
         f"The MLflow store {_without_password(uri)} refused ({first[:_ERROR_LENGTH]}). What was computed is kept in "
         "its files. See that the store is there, has room, may be written to and is not locked; then start again: what "

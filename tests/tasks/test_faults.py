@@ -4,8 +4,12 @@ import multiprocessing
 import os
 import pickle
 import resource
+import shutil
+import signal
 import socket
 import sqlite3
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -15,9 +19,11 @@ import numpy as np
 import pytest
 
 from flows.sweep import alone
+from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
 from tasks import files, tracking
 
+ROOT = Path(__file__).parents[2]
 ARRAYS = {"a": np.arange(1000.0)}
 
 
@@ -34,6 +40,29 @@ def test_a_full_disk_is_told_of_and_leaves_what_was_there(tmp_path: Path) -> Non
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["model.npz"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from tasks import files
+os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+files.save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
+"""
+
+
+def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "models" / "model.npz"
+    files.save_arrays(path, ARRAYS)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(path)], cwd=ROOT, timeout=200)
+    assert done.returncode == -signal.SIGKILL
+    np.testing.assert_array_equal(files.load_arrays(path)["a"], ARRAYS["a"])
+    left = [p.name for p in path.parent.iterdir() if p != path]
+    assert [name for name in left if not (name.startswith(".") and name.endswith(".tmp"))] == []
+    (path.parent / left[0]).rename(path.parent / ".session.csv.tmp")
+    with pytest.raises(SimgapError, match="no file matches"):
+        files.read_recordings(path.parent, SCHEMA, 0.1)
 
 
 def test_a_file_where_a_folder_must_be_is_told_of(tmp_path: Path) -> None:
@@ -74,15 +103,30 @@ def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
 # The store
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with its tables, which take seconds to make."""
+    folder = tmp_path_factory.mktemp("store")
+    tracking.open_store(folder, "grid")
+    return folder
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    shutil.copy(made / "mlflow.db", tmp_path / "mlflow.db")
+    return tmp_path
+
+
 def logged(store: tracking.Store) -> str:
     with tracking.grid_run(store, "grid", {"a": 1}, {}) as run:
         run.scores({"nll": 1.0})
     return run.run_id
 
 
-def test_a_locked_store_is_waited_for(tmp_path: Path) -> None:
-    store = tracking.open_store(tmp_path, "grid")
-    holder = sqlite3.connect(tmp_path / "mlflow.db", check_same_thread=False)
+def test_a_locked_store_is_waited_for(root: Path) -> None:
+    store = tracking.open_store(root, "grid")
+    holder = sqlite3.connect(root / "mlflow.db", check_same_thread=False)
     holder.execute("BEGIN EXCLUSIVE")
     release = threading.Timer(7.0, holder.rollback)  # SQLite by itself gives up after five
     release.start()
@@ -92,20 +136,19 @@ def test_a_locked_store_is_waited_for(tmp_path: Path) -> None:
     assert store.client.get_run(run_id).data.metrics == {"nll": 1.0}
 
 
-def test_a_store_that_stays_locked_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_that_stays_locked_is_told_of(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
-    store = tracking.open_store(tmp_path, "grid")
-    with sqlite3.connect(tmp_path / "mlflow.db") as holder:
+    store = tracking.open_store(root, "grid")
+    with sqlite3.connect(root / "mlflow.db") as holder:
         holder.execute("BEGIN EXCLUSIVE")
         with pytest.raises(tracking.StoreError, match=r"mlflow\.db refused .*locked.* start again"):
             logged(store)
 
 
-def test_a_read_only_store_is_told_of(tmp_path: Path) -> None:
-    tracking.open_store(tmp_path, "grid")
-    uri = f"sqlite:///file:{tmp_path / 'mlflow.db'}?mode=ro&uri=true"
+def test_a_read_only_store_is_told_of(root: Path) -> None:
+    uri = f"sqlite:///file:{root / 'mlflow.db'}?mode=ro&uri=true"
     with pytest.raises(tracking.StoreError, match=r"refused .*readonly.* may be written to"):
-        logged(tracking.open_store(tmp_path, "grid", uri))
+        logged(tracking.open_store(root, "grid", uri))
 
 
 def test_a_server_that_is_gone_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,14 +160,12 @@ def test_a_server_that_is_gone_is_told_of(monkeypatch: pytest.MonkeyPatch) -> No
             logged(tracking.Store(uri, "grid", "1"))
 
 
-def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
-    store = tracking.open_store(tmp_path, "grid")
+    store = tracking.open_store(root, "grid")
 
     def work() -> None:
-        with sqlite3.connect(tmp_path / "mlflow.db") as holder, tracking.grid_run(store, "grid", {}, {}):
+        with sqlite3.connect(root / "mlflow.db") as holder, tracking.grid_run(store, "grid", {}, {}):
             holder.execute("BEGIN EXCLUSIVE")
             raise ZeroDivisionError
 
@@ -133,26 +174,27 @@ def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(
     assert tracking.close_stale_runs(store) == [], "its process, this one, is there"
 
 
-def _write(root: str, name: str, count: int) -> None:
+def _write(root: str, name: str, count: int, together: Any) -> None:
     store = tracking.open_store(Path(root), "grid")
+    together.wait(200)
     for i in range(count):
         with tracking.cell_run(store, "none", f"{name}-{i}", {"sweep": name}) as run:
             run.params({"i": i})
             run.curve(range(20), {"loss": list(range(20))})
 
 
-def test_two_at_once_lose_nothing(tmp_path: Path) -> None:
-    """Two processes make the same store and write to it."""
+def test_two_at_once_lose_nothing(root: Path) -> None:
+    """Two processes write to one store."""
     spawn = multiprocessing.get_context("spawn")
-    writers = [spawn.Process(target=_write, args=(str(tmp_path), name, 5)) for name in ("one", "other")]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join(200)
-    assert [writer.exitcode for writer in writers] == [0, 0]
-    store = tracking.open_store(tmp_path, "grid")
+    together = spawn.Barrier(2)
+    other = spawn.Process(target=_write, args=(str(root), "other", 40, together))
+    other.start()
+    _write(str(root), "one", 40, together)
+    other.join(200)
+    assert other.exitcode == 0
+    store = tracking.open_store(root, "grid")
     runs = store.client.search_runs([store.experiment_id])
-    assert len(runs) == 10
+    assert len(runs) == 80
     assert {run.info.status for run in runs} == {"FINISHED"}
 
 
@@ -166,14 +208,14 @@ def test_one_name_is_one_run_at_a_time(tmp_path: Path) -> None:
         pass
 
 
-def test_the_best_is_registered_again_and_again(tmp_path: Path) -> None:
-    store = tracking.open_store(tmp_path, "grid")
+def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path) -> None:
+    store = tracking.open_store(root, "grid")
     from test_files import fitted_spot
 
     files.save_model(tmp_path / "model.npz", fitted_spot())
     for sweep in ("one", "other"):
         with tracking.cell_run(store, "none", "cell", {}) as run:
-            run.model(tmp_path / "model.npz", ["x"] * 31, ["y"] * 13)
+            run.model(tmp_path / "model.npz", [f"x{i}" for i in range(31)], [f"y{i}" for i in range(13)])
         run.register("dynamics", [sweep, "newest"], {"cell": "cell"})
     versions = {a: store.client.get_model_version_by_alias("dynamics", a).version for a in ("one", "other", "newest")}
     assert versions == {"one": 1, "other": 2, "newest": 2}
