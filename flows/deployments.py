@@ -127,6 +127,6 @@ def _root() -> Path:
 
 def _params(recordings: Recordings, form: dict[str, Any], overrides: dict[str, Any]) -> Params:
     """params.yaml with the form's values in it; recordings lie in the project."""
-    params = load_params(PARAMS, overrides, recordings.overrides(load_params(PARAMS)), form)
+    params = load_params(PARAMS, overrides, recordings.overrides(load_params(PARAMS, overrides)), form)
     forms.check_source(params, recordings.source)
     return params

@@ -162,9 +162,9 @@ def findings(
         if abs(k.correlation) < 0.5:
             said.append(f"{name} does not go with the change of {k.position} (correlation {k.correlation:.2f}). Look "
                         "at frames (world or body), at the topic, at the clocks.")  # fmt: skip
-        elif not 0.5 < k.slope < 2:
-            said.append(f"{k.position} changes by {k.slope:.3g} times what {name} says. Look at units, signs and "
-                        "stamps.")  # fmt: skip
+        elif not 0.8 < k.slope < 1.25:
+            said.append(f"{k.position} changes by {k.slope:.3g} times what {name} says. Look at units, signs, "
+                        "stamps and rate.")  # fmt: skip
     for name, e in excited.items():
         if e.moving == 0:
             said.append(f"The command {name} is never used: what it does cannot be learnt. Record it.")

@@ -57,6 +57,11 @@ def configuration(cell: Cell, params: TrainParams) -> str:
     return _mark({"cell": cell, "params": relevant_params(cell, params)})
 
 
+def configuration_of_policy(cell: Cell, params: PolicyParams) -> str:
+    """The same for a policy."""
+    return _mark({"cell": cell, "params": relevant_policy_params(params)})
+
+
 def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
     """Identifies what the diagnosis of a share of the recordings depends on."""
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})

@@ -192,10 +192,12 @@ def check(form: type[BaseModel], values: Any) -> Any:
 
 def folder(name: str) -> Path:
     """The folder of a run under `sweeps/`; ConfigError where the name would lead out of it, or hide."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=-]{0,99}", name):
+    # What MLflow admits as an alias.
+    if not re.fullmatch(r"(?!latest$|newest$|v\d+$)[A-Za-z0-9][A-Za-z0-9_-]{0,99}", name, re.IGNORECASE):
         raise ConfigError(
-            f"The run's name is {name!r}; it becomes a folder in {SWEEPS}/ and must begin with a letter or digit and "
-            "hold letters, digits, points, dashes, underscores and = only (100 at most). Give another name."
+            f"The run's name is {name!r}; it becomes a folder in {SWEEPS}/ and a model's alias, must begin with a "
+            "letter or digit, and hold letters, digits, dashes and underscores only, 100 at most; latest, newest and "
+            "v1, v2, ... are taken. Give another name."
         )
     return SWEEPS / name
 

@@ -15,7 +15,7 @@ from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Report
 from tasks import files, tracking, transitions
-from tasks.fingerprint import of_policy, relevant_policy_params
+from tasks.fingerprint import configuration_of_policy, of_policy, relevant_policy_params
 from tasks.params import PolicyParams
 from tasks.train import Job, may_pass
 from tasks.workspace import Cell, Workspace
@@ -136,7 +136,8 @@ class Checkpoint:
 def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags: dict[str, str]) -> None:
     """A learnt policy as a run of the grid's: parameters, curve, data set, results, and the policy as a model."""
     record = files.read_json(workspace.policy_record(cell))
-    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"]}
+    config = configuration_of_policy(cell, params)
+    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": config}
     with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
         run.params({**cell._asdict(), **relevant_policy_params(params)})
         curve = dict(record["curve"])

@@ -298,8 +298,10 @@ def test_the_best_model_loads_in_three_lines(place: Place, monkeypatch: pytest.M
     readme = (ROOT / "README.md").read_text()
     (lines,) = re.findall(r"```python\n(import mlflow\n.*?)```", readme, re.DOTALL)
     monkeypatch.chdir(place.folder)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "")  # which the lines set, for other tests too
     named: dict[str, Any] = {}
     exec(lines.replace("<sweep>", "from-the-form"), named)
+    named["mlflow"].set_tracking_uri(None)
     columns = [column.name for column in named["model"].metadata.get_input_schema()]
     table = named["model"].predict(pd.DataFrame(np.zeros((3, len(columns))), columns=columns))
     assert np.isfinite(table.to_numpy()).all()

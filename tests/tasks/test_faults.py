@@ -208,7 +208,7 @@ def test_one_name_is_one_run_at_a_time(tmp_path: Path) -> None:
         pass
 
 
-def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path) -> None:
+def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = tracking.open_store(root, "grid")
     from test_files import fitted_spot
 
@@ -219,5 +219,5 @@ def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path) -> N
         run.register("dynamics", [sweep, "newest"], {"cell": "cell"})
     versions = {a: store.client.get_model_version_by_alias("dynamics", a).version for a in ("one", "other", "newest")}
     assert versions == {"one": 1, "other": 2, "newest": 2}
-    mlflow.set_tracking_uri(store.uri)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", store.uri)
     assert mlflow.pyfunc.load_model("models:/dynamics@one")

@@ -7,21 +7,24 @@ import pytest
 
 from simgap.types import ConfigError
 from tasks import forms, sweep
+from tasks.fingerprint import configuration
 from tasks.params import load_params
-from tasks.workspace import Workspace
+from tasks.workspace import Cell, Workspace
 
 ROOT = Path(__file__).parents[2]
 PARAMS = ROOT / "params.yaml"
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "/tmp", ".hidden", "a\0b", "a b", "x" * 101, "-rf"])
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "../x", "a/b", "/tmp", ".hidden", "a\0b", "a b", "x" * 101, "-rf", "a.b", "v12", "latest"]
+)
 def test_a_name_that_is_no_folder_of_its_own_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match="becomes a folder"):
         forms.folder(name)
 
 
 def test_a_name_is_a_folder_in_sweeps() -> None:
-    assert forms.folder("adept-mole_2.N=40") == Path("sweeps/adept-mole_2.N=40")
+    assert forms.folder("adept-Mole_2") == Path("sweeps/adept-Mole_2")
 
 
 @pytest.mark.parametrize("path", ["/etc", "..", "data/../../x", "", "a\0b"])
@@ -100,3 +103,14 @@ def test_a_variant_shares_the_recordings_alone() -> None:
     assert (own.recordings, own.transitions) == (shared.recordings, shared.transitions)
     assert own.models == Path("r/v=1/models/s")
     assert shared.models == Path("r/models/s")
+
+
+def test_the_same_configuration_is_recognised_as_the_same() -> None:
+    """Whatever a cell does not depend on; a value that it depends on makes another."""
+    cell, params = Cell("gaussian", "fsvgd", 40, 0), load_params(PARAMS).train
+    mark = configuration(cell, params)
+    for same in ({"seeds": [7]}, {"workers": 9}, {"sim_fsvgd": {"lengthscale": 3.0}}):
+        assert configuration(cell, load_params(PARAMS, {"train": same}).train) == mark
+    for other in ({"bnn": {"learning_rate": 0.5}}, {"fsvgd": {"lengthscale": 3.0}}):
+        assert configuration(cell, load_params(PARAMS, {"train": other}).train) != mark
+    assert configuration(cell._replace(seed=1), params) != mark
