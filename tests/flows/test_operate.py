@@ -191,6 +191,10 @@ def test_cancelling_ends_the_work_and_leaves_nothing_running(place: Place) -> No
     assert not list((place.folder / "sweeps" / "long").rglob("*.tmp"))
 
 
+ASKED: list[str] = []
+"""Every address that the pages asked for."""
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     if CHROMIUM is None:
@@ -201,6 +205,7 @@ def browser() -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.set_default_timeout(60_000)
+        page.on("request", lambda request: ASKED.append(request.url))
         yield page
         browser.close()
 
@@ -319,6 +324,13 @@ def test_a_diagnosis_is_read_in_mlflow(place: Place, browser: Any, swept: tuple[
     shown.first.wait_for()
     browser.get_by_text("Path: file:").evaluate("line => line.style.visibility = 'hidden'")  # of this machine
     picture(browser, "mlflow_diagnosis", swept[1])
+
+
+@pytest.mark.usefixtures("swept")
+def test_no_page_asks_anything_of_another_machine() -> None:
+    assert len(ASKED) > 50
+    elsewhere = {url for url in ASKED if not re.match(r"(http|ws)://127\.0\.0\.1:|data:|blob:", url)}
+    assert not elsewhere
 
 
 def test_down_stops_all_of_it_and_nothing_else(place: Place) -> None:
