@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are called without a flow here
+os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"  # at its end a process would wait for a server that is gone
 os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="simgap-prefect-")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
 
