@@ -2,8 +2,11 @@
 BIN := .venv/bin
 SOURCE ?= virtual
 RECORDINGS ?=
+HOST ?= 127.0.0.1
+PREFECT_PORT ?= 4200
+MLFLOW_PORT ?= 5000
 
-.PHONY: setup run test lint lock mlflow clean
+.PHONY: setup run test lint lock up down clean
 
 setup: .venv/.installed
 
@@ -28,8 +31,11 @@ lint: setup
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
-mlflow: setup  ## MLflow's pages on http://127.0.0.1:5000
-	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --backend-store-uri sqlite:///mlflow.db
+up: setup  ## Prefect's and MLflow's pages and what is started from them, on this machine alone; logs in logs/
+	$(BIN)/python -m flows.servers up --host $(HOST) --prefect-port $(PREFECT_PORT) --mlflow-port $(MLFLOW_PORT)
+
+down:  ## stop what `make up` started
+	$(BIN)/python -m flows.servers down
 
 lock:  ## renew requirements.lock from pyproject.toml
 	$(BIN)/uv pip compile --quiet --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \

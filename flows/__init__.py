@@ -5,6 +5,8 @@ Importing this package settles what libraries read from the environment at their
 
 import os
 
+from flows import running
+
 _DEFAULTS = {
     # Several cells train side by side, a thread each: no library may spread one cell's work over the cores.
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
@@ -20,9 +22,15 @@ _DEFAULTS = {
     "DO_NOT_TRACK": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
+    # A server that is gone is told of after half a minute, not after four.
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "4",
     "DVC_NO_ANALYTICS": "1",
 }
 for _name, _value in _DEFAULTS.items():
     os.environ.setdefault(_name, _value)
 if "PREFECT_API_URL" not in os.environ:
+    if "PREFECT_HOME" not in os.environ and (_server := running.find("prefect")):
+        os.environ["PREFECT_API_URL"] = (
+            f"{_server.address}/api"  # `make up`: a flow starts in a second, and is seen there
+        )
     os.environ.setdefault("PREFECT_HOME", os.path.abspath(".prefect"))

@@ -30,17 +30,23 @@ def run(source: str, params: Params, root: Path) -> None:
 @flow(name="diagnose-folder", flow_run_name="diagnose-{recordings}")
 def diagnose_folder(
     recordings: Path, simulator: str, baseline: Path | None, heldout: Path | None, out: Path, seed: int = 0
-) -> None:
-    """Say what a simulator, given as `tasks.simulators.load` takes it, leaves out of a folder's sessions."""
+) -> str:
+    """Say what a simulator, given as `tasks.simulators.load` takes it, leaves out of a folder's sessions.
+
+    Returns the run's id in MLflow.
+    """
     folders = Folders(recordings, heldout, baseline)
     label = recordings.resolve().name
-    _diagnose(label, simulator, simulators.load(simulator), folders, out, seed, provenance.origin())
+    return _diagnose(label, simulator, simulators.load(simulator), folders, out, seed, provenance.origin())
 
 
 def _diagnose(
     label: str, name: str, simulator: StepModel, folders: Folders, out: Path, seed: int, tags: dict[str, str]
-) -> None:
-    """Read, diagnose, write to `out`, log; the run is called by the recordings' label and the simulator's name."""
+) -> str:
+    """Read, diagnose, write to `out`, log; the run is called by the recordings' label and the simulator's name.
+
+    Returns the run's id in MLflow.
+    """
     sessions, errors = diagnose.read(folders, simulator)
     for error in errors:
         progress.say(f"left out: {error}")
@@ -61,6 +67,7 @@ def _diagnose(
         f"\n{found.statement['statement']}\n\n{places}\n{'MLflow':10}{tracking.link(store, tracked.run_id)}\n"
         f"({found.statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"
     )
+    return tracked.run_id
 
 
 if __name__ == "__main__":

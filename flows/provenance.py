@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 from prefect.runtime import flow_run
 
+from flows import running
 from tasks import tracking
 from tasks.workspace import Workspace
 
@@ -15,7 +16,9 @@ EXPERIMENT = "model-validation"
 
 def store(experiment: str = EXPERIMENT) -> tracking.Store:
     """The project's MLflow store, or the one that MLFLOW_TRACKING_URI names; runs left open by a kill are closed."""
-    opened = tracking.open_store(Path(), experiment, os.environ.get("MLFLOW_TRACKING_URI"))
+    server = running.find("mlflow")
+    pages = server.address if server else ""
+    opened = tracking.open_store(Path(), experiment, os.environ.get("MLFLOW_TRACKING_URI"), pages)
     tracking.close_stale_runs(opened)
     return opened
 

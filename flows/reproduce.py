@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from prefect import flow
 
@@ -22,7 +23,7 @@ def run(source: str, params: Params, root: Path) -> None:
     transitions.run(source, params, root)
     failures: list[SimgapError] = []
 
-    def attempt(stage: Callable[..., None]) -> None:
+    def attempt(stage: Callable[..., Any]) -> None:
         try:
             stage(source, params, root)
         except SimgapError as error:

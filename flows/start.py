@@ -6,11 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from simgap.types import SimgapError
 from tasks import progress
-from tasks.params import load_params
+from tasks.params import load_params, read_yaml
 
 PARAMS = Path("params.yaml")
 
@@ -34,7 +32,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 def read_overrides(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What the files given as `--overrides` hold."""
-    return [yaml.safe_load(path.read_text()) for path in arguments.overrides]
+    return [read_yaml(path) for path in arguments.overrides]
 
 
 def guarded(work: Callable[[], Any]) -> None:

@@ -18,8 +18,11 @@ SHOWN = ("shape", "policy", "sample_size", "mean_error", "mean_error_std", "stop
 
 
 @flow(name="track", flow_run_name="track-{source}")
-def run(source: str, params: Params, root: Path) -> None:
-    """Run every policy that there is, and the controllers to compare with; a missing policy is named."""
+def run(source: str, params: Params, root: Path) -> list[track.Row]:
+    """Run every policy that there is, and the controllers to compare with; a missing policy is named.
+
+    Returns a row for every policy and shape.
+    """
     workspace, cells = Workspace(root, source), policy.grid(params.policy)
     files.remove_folder(workspace.tracks)
     files.remove_folder(workspace.tracking)
@@ -52,6 +55,7 @@ def run(source: str, params: Params, root: Path) -> None:
         track.log(parent, workspace, summary)
     progress.table(f"tracking on {source}", [{k: row.get(k, "") for k in SHOWN} for row in summary])
     progress.say(f"report of tracking on {source}: {workspace.tracking / 'report.md'}")
+    return rows
 
 
 if __name__ == "__main__":

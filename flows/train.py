@@ -1,17 +1,18 @@
 """Stage `train`: SIM-MODEL, FSVGD and Sim-FSVGD over N and seeds; the simulator also with what a diagnosis adds."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from prefect import flow
-from prefect.task_runners import ThreadPoolTaskRunner
 
 from flows import provenance
+from flows.fan_out import Place, fan_out
 from flows.start import main
 from simgap.types import SimgapError
 from tasks import diagnosed, fingerprint, progress, tracking, train
 from tasks.params import Params
-from tasks.workspace import Cell, Workspace
+from tasks.workspace import Workspace
 
 
 @flow(name="train", flow_run_name="train-{source}")
@@ -22,44 +23,45 @@ def run(source: str, params: Params, root: Path) -> None:
     tags, store = provenance.tags(workspace, workspace.transitions), provenance.store()
     with tracking.grid_run(store, f"grid-{source}", params.train.model_dump(), tags) as parent:
         progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
-        codes = fingerprint.codes()
-        failed = _diagnose(workspace, cells, params, codes)
-        able = [cell for cell in cells if cell.name not in failed]
-        failed |= _fan_out(workspace, able, params, train.Grid(parent, tags, codes))
+        failed = train_cells({(workspace, cell): params for cell in cells}, tags, parent)
         if failed:
-            raise SimgapError(
-                f"{len(failed)} of {len(cells)} cells failed; the others are kept:\n"
-                + "\n".join(f"  {name}: {why}" for name, why in failed.items())
-                + "\nMend the cause and start again: finished cells are not repeated."
-            )
+            raise SimgapError(told(failed, len(cells)))
 
 
-def _diagnose(workspace: Workspace, cells: list[Cell], params: Params, codes: fingerprint.Codes) -> dict[str, str]:
+def train_cells(cells: Mapping[Place, Params], tags: dict[str, str], parent: tracking.Run) -> dict[Place, str]:
+    """Train cells that share their recordings, each with its parameters; returns what went wrong, by cell."""
+    (workspace, _), params = next(iter(cells.items()))
+    grid = train.Grid(parent, tags, fingerprint.codes())
+    failed = _diagnose(list(cells), params, grid.codes)
+    able = {place: {"params": p, "grid": grid} for place, p in cells.items() if place not in failed}
+    return failed | fan_out(f"train on {workspace.source}", train.train_cell, able, params.train.workers)
+
+
+def told(failed: Mapping[Place, str], count: int) -> str:
+    """What failed and what to do, as an error's message."""
+    lines = [f"  {cell.name}{workspace.suffix}: {why}" for (workspace, cell), why in failed.items()]
+    return (
+        f"{len(failed)} of {count} cells failed; the others are kept:\n" + "\n".join(lines)
+        + "\nMend the cause and start again: finished cells are not repeated."
+    )  # fmt: skip
+
+
+def _diagnose(places: list[Place], params: Params, codes: fingerprint.Codes) -> dict[Place, str]:
     """What cells need to know of their recordings, one diagnosis at a time: each takes all cores for itself.
 
     Returns what went wrong, by cell; such cells have no record left.
     """
-    shares, failed = diagnosed.shares(cells), {}
-    for i, share in enumerate(shares):
-        progress.say(f"{share.name} ({i + 1} of {len(shares)})")
+    failed: dict[Place, str] = {}
+    wanted = list(dict.fromkeys((w, share) for w, cell in places for share in diagnosed.shares([cell])))
+    for i, (workspace, share) in enumerate(wanted):
+        progress.say(f"{share.name} ({i + 1} of {len(wanted)})")
         common = (1 / params.transitions.nominal_rate_hz, codes.diagnosis, lambda line: progress.say(f"  {line}"))
         state = diagnosed.find(workspace, share, *common, time.perf_counter, return_state=True)
         if not state.is_completed():
-            for cell in (c for c in cells if c.share == share):
-                workspace.record(cell).unlink(missing_ok=True)
-                failed[cell.name] = str(state.message)
+            for place in (p for p in places if (p[0], p[1].share) == (workspace, share)):
+                workspace.record(place[1]).unlink(missing_ok=True)
+                failed[place] = str(state.message)
     return failed
-
-
-def _fan_out(workspace: Workspace, cells: list[Cell], params: Params, grid: train.Grid) -> dict[str, str]:
-    """A task a cell, `params.train.workers` at a time; returns what went wrong, by cell."""
-    runner = ThreadPoolTaskRunner(max_workers=params.train.workers)
-    with progress.bars(f"train on {workspace.source}", len(cells), time.monotonic) as bars, runner:
-        common = {"workspace": workspace, "params": params, "grid": grid, "job": bars.job, "clock": time.perf_counter}
-        futures = {cell.name: runner.submit(train.train_cell, {"cell": cell, **common}) for cell in cells}
-        for future in futures.values():
-            future.wait()
-    return {name: str(f.state.message) for name, f in futures.items() if not f.state.is_completed()}
 
 
 if __name__ == "__main__":

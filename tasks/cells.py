@@ -4,17 +4,18 @@ from pathlib import Path
 from typing import Any
 
 from simgap.types import Report, SimgapError
-from tasks import files
+from tasks import files, tracking
 
 
 def may_pass(_task: Any, _run: Any, state: Any) -> bool:
     """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
-    return not isinstance(state.result(raise_on_failure=False), SimgapError)
+    error = state.result(raise_on_failure=False)
+    return not isinstance(error, SimgapError) or isinstance(error, tracking.StoreError)
 
 
 def finished(result: Path, record: Path, fingerprint: str) -> bool:
-    """Whether the cell was made before of the same data, parameters and code."""
-    return result.exists() and record.exists() and files.read_json(record).get("fingerprint") == fingerprint
+    """Whether the cell was made before of the same data, parameters and code; a damaged file is as none."""
+    return files.fingerprint_of(record, result) == fingerprint
 
 
 class Curve:

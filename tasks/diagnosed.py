@@ -77,7 +77,7 @@ def find(
     used = sessions(recordings, share)
     mark = of_diagnosis(share, digest([*used.training, *used.heldout]), time_step, code)
     arrays, record = workspace.augmented(share), workspace.effects(share)
-    if arrays.exists() and record.exists() and files.read_json(record).get("fingerprint") == mark:
+    if files.fingerprint_of(record, arrays) == mark:
         say("diagnosed before")
         return
     # Should this fail, what was found by other code must not pass for its result.

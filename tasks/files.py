@@ -13,7 +13,7 @@ import pickle
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 from uuid import uuid4
@@ -29,7 +29,7 @@ from simgap.policies.actor import Actor
 from simgap.recordings import Normalisation, check_recording
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
-from simgap.types import Recording, RecordingError, Schema, SimgapError
+from simgap.types import Field, Recording, RecordingError, Schema, SimgapError
 
 SUFFIXES = (".csv", ".parquet", ".pickle")
 """What a session's file may end in, in upper or lower case."""
@@ -138,6 +138,19 @@ def _columns(path: Path, schema: Schema, time_step: float) -> _Columns:
         return _pickle_columns(path, schema, time_step)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error}). Mend or remove the file.") from None
+
+
+def read_table(path: Path, columns: Sequence[str]) -> _Columns:
+    """Columns of a CSV or Parquet file as numbers, blanks as NaN; RecordingError names file, column and row."""
+    schema = Schema(state=(), command=tuple(Field(name, "", "position", "world") for name in columns))
+    try:
+        found = _csv_columns(path, schema) if path.suffix.lower() == ".csv" else _parquet_columns(path, schema)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error}). Mend or remove the file.") from None
+    missing = [name for name in columns if name not in found]
+    if missing:
+        raise RecordingError(f"{path}: column {', '.join(missing)} is missing. Mend the mapping file, or leave it out.")
+    return found
 
 
 def _refuse_duplicates(path: Path, header: Sequence[str], schema: Schema) -> None:
@@ -534,6 +547,15 @@ def digest(paths: Sequence[Path]) -> str:
     return total.hexdigest()[:16]
 
 
+def fingerprint_of(record: Path, arrays: Path) -> str | None:
+    """The fingerprint that a record has, if it and the arrays that it is of are there and whole."""
+    try:
+        load_arrays(arrays)
+        return read_json(record).get("fingerprint")
+    except (SimgapError, AttributeError):
+        return None
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder, if it is not there, and see that it can be written to; SimgapError that says why not."""
     try:
@@ -559,10 +581,16 @@ def _missing(path: Path) -> str:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to, which takes its place when all went well and is deleted otherwise."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{uuid4().hex}.tmp")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        raise SimgapError(
+            f"{path}: cannot be written ({error.strerror or error}). Make room, or mend the folder's permissions, and "
+            "start again: what is finished is not repeated."
+        ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)

@@ -52,6 +52,16 @@ def fingerprint(
     return _mark(relevant if diagnosis is None else {**relevant, "diagnosis": diagnosis})
 
 
+def configuration(cell: Cell, params: TrainParams) -> str:
+    """Identifies what was asked for, the cell and its share of the parameters, whatever the data and the code."""
+    return _mark({"cell": cell, "params": relevant_params(cell, params)})
+
+
+def configuration_of_policy(cell: Cell, params: PolicyParams) -> str:
+    """The same for a policy."""
+    return _mark({"cell": cell, "params": relevant_policy_params(params)})
+
+
 def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
     """Identifies what the diagnosis of a share of the recordings depends on."""
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})

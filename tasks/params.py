@@ -146,12 +146,17 @@ def _merge(base: Any, overrides: Any) -> Any:
             for key in {**base, **overrides}}  # fmt: skip
 
 
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds; ConfigError when it is missing or damaged."""
+    try:
+        return yaml.safe_load(path.read_text())
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}).") from None
+
+
 def load_params(path: Path, *overrides: Mapping[str, Any]) -> Params:
     """`path` with `overrides` merged in, block by block; ConfigError names every key that is wrong."""
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}).") from None
+    values = read_yaml(path)
     for override in overrides:
         values = _merge(values, dict(override))
     try:

@@ -16,7 +16,7 @@ from simgap.simulators.spot import SCHEMA
 from simgap.types import Report
 from tasks import files, tracking, transitions
 from tasks.cells import Curve, finished, may_pass
-from tasks.fingerprint import of_policy, relevant_policy_params
+from tasks.fingerprint import configuration_of_policy, of_policy, relevant_policy_params
 from tasks.params import PolicyParams
 from tasks.train import Job
 from tasks.workspace import Cell, Workspace
@@ -99,13 +99,13 @@ class Checkpoint:
     def load(
         self, environment: LearntSpot, params: PolicyParams
     ) -> tuple[Training | None, dict[str, list[float]], float]:
-        """State, curve so far and seconds spent; nothing where there is none of the same fingerprint."""
-        if not (self._arrays.exists() and self._curve.exists()):
+        """State, curve so far and seconds spent; nothing where none of the same fingerprint is there and whole."""
+        if files.fingerprint_of(self._curve, self._arrays) != self._mark:
             return None, {}, 0.0
         known = files.read_json(self._curve)
         arrays = files.load_arrays(self._arrays)
         evaluations = int(arrays.pop("evaluations"))
-        if known["fingerprint"] != self._mark or evaluations != len(known["curve"]["step"]):
+        if evaluations != len(known["curve"]["step"]):
             return None, {}, 0.0
         training = learn.from_arrays(arrays, environment, params.learning, params.sac)
         return training, known["curve"], known["seconds"]
@@ -125,7 +125,8 @@ class Checkpoint:
 def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags: dict[str, str]) -> None:
     """A learnt policy as a run of the grid's: parameters, curve, data set, results, and the policy as a model."""
     record = files.read_json(workspace.policy_record(cell))
-    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"]}
+    config = configuration_of_policy(cell, params)
+    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": config}
     with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
         run.params({**cell._asdict(), **relevant_policy_params(params)})
         curve = dict(record["curve"])

@@ -3,9 +3,11 @@
 import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
+from prefect.exceptions import MissingContextError
+from prefect.logging import get_run_logger
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -14,6 +16,10 @@ from simgap.types import Report, SimgapError
 
 _EVERY_S = 15.0
 console = Console()
+
+
+class Stopped(BaseException):
+    """Raised by `report` in work that is to end: the process was told to."""
 
 
 class Bars:
@@ -25,6 +31,11 @@ class Bars:
         self._what, self._total, self._done = what, total, 0
         self._spoke = clock()
         self._lock = threading.Lock()
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End the jobs under way, each at its next report."""
+        self._stopped.set()
 
     @contextmanager
     def job(self, name: str, steps: int) -> Iterator[Report]:
@@ -33,6 +44,8 @@ class Bars:
         start = self._clock()
 
         def report(step: int, metrics: dict[str, float]) -> None:
+            if self._stopped.is_set():
+                raise Stopped(name)
             rate = step / max(self._clock() - start, 1e-9)
             shown = ", ".join(f"{k.replace('_', ' ')} {v:.2f}" for k, v in metrics.items())
             self._progress.update(bar, completed=step, rate=f"{rate:,.0f} steps/s  {shown}")
@@ -53,7 +66,7 @@ class Bars:
         with self._lock:
             if always or self._clock() - self._spoke > _EVERY_S:
                 self._spoke = self._clock()
-                console.print(line, highlight=False, soft_wrap=True)
+                say(line)
 
 
 @contextmanager
@@ -65,13 +78,22 @@ def bars(what: str, total: int, clock: Callable[[], float]) -> Iterator[Bars]:
         yield Bars(progress, what, total, clock)
 
 
+@contextmanager
+def plain_job(name: str, _steps: int) -> Iterator[Report]:
+    """A job in a process that has no bars: a line when it begins and when it is done."""
+    say(f"{name}: begun")
+    yield lambda _step, _metrics: None
+    say(f"{name}: done")
+
+
 def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
     """Print rows of the same keys as a table."""
     if not rows:
         return
     view = Table(title=title, title_justify="left")
     for name in rows[0]:
-        view.add_column(name.replace("_", " "), justify="left" if isinstance(rows[0][name], str) else "right")
+        justify = "left" if isinstance(rows[0][name], str) else "right"
+        view.add_column(name.replace("_", " "), justify=justify, overflow="fold")
     for row in rows:
         view.add_row(*(f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()))
     console.print(view)
@@ -80,11 +102,18 @@ def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 def say(line: str) -> None:
     """Print a line as it is, above the bars if there are any: a unit in brackets is no style."""
     console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    _log(line)
+
+
+def _log(line: str) -> None:
+    """The line for Prefect's pages, where a flow runs; in a terminal Prefect prints warnings and errors alone."""
+    with suppress(MissingContextError):
+        get_run_logger().info(line)
 
 
 def quiet_libraries() -> None:
     """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks of explained errors."""
-    for name in ("httpx", "alembic", "mlflow", "prefect"):
+    for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
     for name in ("prefect.flow_runs", "prefect.task_runs"):
         logging.getLogger(name).addFilter(_needs_a_traceback)

@@ -24,7 +24,7 @@ def load_test(workspace: Workspace, time_step: float) -> tuple[Transitions, list
     return transitions.load(workspace, "test"), recordings
 
 
-@task(task_run_name="score-{cell.name}")
+@task(task_run_name="score-{cell.name}{workspace.suffix}")
 def score_cell(
     workspace: Workspace, cell: Cell, test: tuple[Transitions, list[Recording]], params: ScoreParams
 ) -> dict[str, Any]:
@@ -44,12 +44,19 @@ def score_cell(
     }
 
 
-@task(task_run_name="log-scores-{cell.name}", retries=1)
-def log_scores(workspace: Workspace, cell: Cell, row: dict[str, Any], store: tracking.Store) -> None:
-    """Add the scores to the cell's latest run in MLflow, if this store has one (a model from DVC's cache may not)."""
-    run = tracking.latest_run(store, {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]})
+@task(task_run_name="log-scores-{cell.name}{workspace.suffix}", retries=1)
+def log_scores(
+    workspace: Workspace, cell: Cell, row: dict[str, Any], store: tracking.Store, parent_run_id: str | None = None
+) -> tracking.Run | None:
+    """Add the scores to the cell's latest run in MLflow, of that parent where it is given; returns the run.
+
+    A model from DVC's cache may have none in this store.
+    """
+    mark = {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]}
+    run = tracking.latest_run(store, mark, parent_run_id)
     if run:
         run.scores({name: value for name, value in row.items() if name not in (*cell._fields, "effects")})
+    return run
 
 
 @task(task_run_name="write-scores-{workspace.source}")

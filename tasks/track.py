@@ -15,7 +15,7 @@ from simgap.policies.follow import Run, follow, mean_error
 from simgap.policies.proportional import Proportional
 from simgap.robots.virtual_robot import VirtualRobot
 from simgap.robots.virtual_spot import VirtualSpotConfig
-from simgap.types import Policy, Robot
+from simgap.types import Policy, Robot, SimgapError
 from tasks import files, tracking
 from tasks import tracking_plots as plots
 from tasks.params import PolicyParams, TrackParams
@@ -24,6 +24,8 @@ from tasks.report import compare
 from tasks.workspace import Cell, Workspace
 
 Row = dict[str, Any]
+REGISTERED = "policy"
+"""The registered model whose versions are the best policies of tracking runs."""
 SHAPES = ("ellipse", "helix")
 IDENTITY = ("shape", "policy", "sample_size", "seed")
 _WRITTEN = ("states", "commands", "goals")
@@ -202,6 +204,25 @@ def write(
     plots.animate(folder / "helix.gif", runs["helix", best["policy"], best["sample_size"], best["seed"]], title)
     files.write_text(folder / "report.md", _markdown(workspace.source, rows, summary, notes))
     return summary
+
+
+@task(task_run_name="register-{name}", retries=1)
+def register_best(workspace: Workspace, rows: Sequence[Row], noise: str, name: str, store: tracking.Store) -> str:
+    """The policy with the lowest mean error over the shapes, one stopped early behind all others, as the next version
+    of the registered model `policy` with the alias `name`; returns its run's id. `noise`: of the policies' models."""
+    found: dict[Cell, list[Row]] = {}
+    for row in (r for r in rows if _learnt(r)):
+        found.setdefault(Cell(noise, row["policy"], row["sample_size"], row["seed"]), []).append(row)
+    cost = {cell: (sum(bool(r["stopped"]) for r in own), float(np.mean([r["mean_error"] for r in own])))
+            for cell, own in found.items()}  # fmt: skip
+    best = min(cost, key=cost.__getitem__)
+    mark = {"fingerprint": files.read_json(workspace.policy_record(best))["fingerprint"]}
+    run = tracking.latest_run(store, mark)
+    if run is None:
+        raise SimgapError(f"MLflow has no finished run of the policy {best.name}. Start the same run again.")
+    run.register(REGISTERED, [name, "newest"], {"cell": best.name, "mean_error": f"{cost[best][1]:.4f}"})
+    run.tags({"best_of": name})
+    return run.run_id
 
 
 def best_controller(rows: Sequence[Row]) -> dict[str, float]:

@@ -5,6 +5,7 @@ Every call names its store and its run: no active run, which is per thread, and 
 would write into the environment. A `Store` and a `Run` are names only; they travel to other threads and processes.
 """
 
+import base64
 import fcntl
 import json
 import math
@@ -13,8 +14,9 @@ import re
 import shlex
 import socket
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -30,10 +32,11 @@ from mlflow.exceptions import MlflowException
 from mlflow.models import Model, ModelSignature
 from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
+from sqlalchemy.exc import SQLAlchemyError
 
 from simgap.types import Schema as RobotSchema
 from simgap.types import SimgapError
-from tasks import augmented_pyfunc, policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, files, policy_pyfunc, pyfunc
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -44,48 +47,105 @@ NON_FINITE = "non_finite"
 ERROR = "error"
 """Tag with what ended a run early."""
 
+# The pages open in a mode for language models otherwise.
+_TRAINING, _KIND, _TRAINING_KIND = "?workflowType=machine_learning", "mlflow.experimentKind", "custom_model_development"
+_COLUMNS = ("metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`seconds`",
+            "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`")  # fmt: skip
 _HOST, _PID = "simgap.host", "simgap.pid"
 _POINTS = 100  # a curve's, more than a plot shows
 _PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
 _CLOCK_SLACK_S = 60.0
+_PATIENCE_S = 60  # with a database that another process has locked
 # The project itself is left out: it is on no index, and the name may come to be another's there.
 _REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxtyping", "numpy", "scipy", "pandas")]
 
 
 @dataclass(frozen=True)
 class Store:
-    """Where runs are kept: tracking URI and experiment."""
+    """Where runs are kept: tracking URI and experiment; the address of MLflow's pages, where they are served."""
 
     uri: str
     experiment: str
     experiment_id: str
+    pages: str = ""
 
     @property
-    def client(self) -> MlflowClient:
+    def client(self) -> Any:
         """MLflow's client; it keeps one connection pool per URI and process, so that making one costs nothing."""
-        return MlflowClient(self.uri)
+        return _Client(self.uri)
 
 
-def open_store(root: Path, experiment: str, uri: str | None = None) -> Store:
+class StoreError(SimgapError):
+    """The store did not do what was asked of it; that may pass. `code`: MLflow's word for it."""
+
+    code = ""
+
+
+class _Client:
+    """MLflow's client, whose errors explain themselves."""
+
+    def __init__(self, uri: str) -> None:
+        # Other processes write too; SQLite would give up after five seconds.
+        self._uri = uri
+        with _explaining(uri):
+            self._client = MlflowClient(f"{uri}?timeout={_PATIENCE_S}" if _plain_file(uri) else uri)
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._client, name)
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            with _explaining(self._uri):
+                return method(*args, **kwargs)
+
+        return call
+
+
+def _plain_file(uri: str) -> bool:
+    return uri.startswith("sqlite:///") and "?" not in uri
+
+
+@contextmanager
+def _explaining(uri: str) -> Iterator[None]:
+    try:
+        yield
+    except (MlflowException, SQLAlchemyError, OSError) as error:
+        raise _explained(uri, error) from error
+
+
+def _explained(uri: str, error: Exception) -> StoreError:
+    cause: BaseException = error
+    while within := cause.__cause__ or cause.__context__:
+        cause = within
+    first = next((line for line in str(cause).splitlines() if line.strip()), type(cause).__name__)
+    explained = StoreError(
+        f"The MLflow store {_without_password(uri)} refused ({first[:_ERROR_LENGTH]}). What was computed is kept in "
+        "its files. See that the store is there, has room, may be written to and is not locked; then start again: what "
+        "is finished is not repeated."
+    )
+    explained.code = getattr(error, "error_code", "")
+    return explained
+
+
+def open_store(root: Path, experiment: str, uri: str | None = None, pages: str = "") -> Store:
     """The experiment in SQLite at `root/mlflow.db` with artifacts under `root/mlruns`, or in the store at `uri`.
 
     Creates what is missing, one process at a time (MLflow's migrations die when two run them at once), so call it
     before any fan-out.
     """
     root = root.resolve()
-    root.mkdir(parents=True, exist_ok=True)
+    files.make_folder(root)
     uri = uri or f"sqlite:///{root / 'mlflow.db'}"
     # A server says itself where artifacts go; to a database the client would write them under its working directory.
     artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
     with (root / "mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return Store(uri, experiment, _experiment_id(MlflowClient(uri), experiment, artifacts))
+        return Store(uri, experiment, _experiment_id(_Client(uri), experiment, artifacts), pages)
 
 
-def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
+def _experiment_id(client: Any, name: str, artifacts: str | None) -> str:
     found = client.get_experiment_by_name(name)
     if found is None:
-        return client.create_experiment(name, artifact_location=artifacts)
+        return client.create_experiment(name, artifact_location=artifacts, tags={_KIND: _TRAINING_KIND})
     if found.lifecycle_stage != "active":
         raise SimgapError(
             f"The MLflow experiment {name!r} must be active and is {found.lifecycle_stage}. Restore it with "
@@ -118,9 +178,28 @@ class Run:
         """A text for people, shown on top of the run's page."""
         self.tags({MLFLOW_RUN_NOTE: text})
 
-    def artifact(self, path: Path) -> None:
-        """A file, kept beside the run under its name."""
-        self.store.client.log_artifact(self.run_id, str(path))
+    def artifact(self, path: Path, folder: str | None = None) -> None:
+        """A file, kept beside the run under its name, in a folder there where one is given."""
+        self.store.client.log_artifact(self.run_id, str(path), folder)
+
+    def table(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Rows of the same keys as the table `<name>.json`, which MLflow's pages show side by side for several runs."""
+        self.store.client.log_table(self.run_id, pd.DataFrame(rows), f"{name}.json")
+
+    def register(self, name: str, aliases: Sequence[str], tags: Mapping[str, str]) -> None:
+        """The run's model as the next version of the registered model `name`, found by these aliases from now on."""
+        client, run = self.store.client, self.store.client.get_run(self.run_id)
+        model = client.get_logged_model(run.outputs.model_outputs[-1].model_id)  # type: ignore[union-attr]
+        try:
+            client.create_registered_model(name)
+        except StoreError as error:
+            if error.code != "RESOURCE_ALREADY_EXISTS":
+                raise
+        made = client.create_model_version(
+            name, model.artifact_location, self.run_id, tags=dict(tags), model_id=model.model_id
+        )
+        for alias in aliases:
+            client.set_registered_model_alias(name, alias, str(made.version))
 
     def curve(self, steps: Sequence[int], metrics: Mapping[str, Sequence[float]]) -> None:
         """Training curves, as `training/<name>`: at most 100 points each, with the first, last, least and greatest."""
@@ -161,7 +240,7 @@ class Run:
         inputs = [DatasetInput(dataset, [InputTag(MLFLOW_DATASET_CONTEXT, context)])]
         try:
             self.store.client.log_inputs(self.run_id, datasets=inputs)
-        except MlflowException:
+        except StoreError:
             # Another run entered the same data set between MLflow's look and its insert: now it is there to be found.
             self.store.client.log_inputs(self.run_id, datasets=inputs)
 
@@ -257,14 +336,16 @@ def _run(store: Store, name: str, tags: dict[str, str]) -> Iterator[Run]:
     try:
         yield run
     except BaseException as error:
-        run.tags({ERROR: f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]})
-        store.client.set_terminated(run.run_id, "FAILED" if isinstance(error, Exception) else "KILLED")
+        with suppress(StoreError):  # what went wrong first is told; a run left open is closed at the next start
+            run.tags({ERROR: f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]})
+            store.client.set_terminated(run.run_id, "FAILED" if isinstance(error, Exception) else "KILLED")
         raise
     store.client.set_terminated(run.run_id)
 
 
-def latest_run(store: Store, tags: Mapping[str, str]) -> Run | None:
-    """Of the finished runs with these tags, the one that began last."""
+def latest_run(store: Store, tags: Mapping[str, str], parent_run_id: str | None = None) -> Run | None:
+    """Of the finished runs with these tags, of that parent where it is given, the one that began last."""
+    tags = {**tags, MLFLOW_PARENT_RUN_ID: parent_run_id} if parent_run_id else tags
     query = " and ".join(
         ["attributes.status = 'FINISHED'", *(f"tags.`{key}` = '{value}'" for key, value in tags.items())]
     )
@@ -301,12 +382,22 @@ def _alive(pid: int, since_s: float) -> bool:
 
 def link(store: Store, run_id: str) -> str:
     """How a person finds the run: its address, or the command that serves it and the address then."""
-    page = f"#/experiments/{store.experiment_id}/runs/{run_id}"
-    if store.uri.startswith("http"):
-        return f"{_without_password(store.uri).rstrip('/')}/{page}"
+    page = f"#/experiments/{store.experiment_id}/runs/{run_id}{_TRAINING}"
+    if store.pages or store.uri.startswith("http"):
+        return f"{_without_password(store.pages or store.uri).rstrip('/')}/{page}"
     served = f"mlflow ui --backend-store-uri {shlex.quote(_without_password(store.uri))}"
     name = store.client.get_run(run_id).info.run_name
     return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
+
+
+def compare(store: Store, tag: str, value: str) -> str:
+    """Where the runs with this tag stand side by side in the pages, best first, with the columns one wants."""
+    state = {"searchFilter": f"tags.{tag} = '{value}'", "selectedColumns": _COLUMNS, "orderByKey": _COLUMNS[0],
+             "orderByAsc": True}  # fmt: skip
+    # As the pages' own button for sharing a view writes it.
+    packed = "deflate;" + base64.b64encode(zlib.compress(json.dumps(state).encode())).decode()
+    store.client.set_experiment_tag(store.experiment_id, f"mlflow.sharedViewState.{value}", packed)
+    return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={value}"
 
 
 def _without_password(uri: str) -> str:

@@ -17,7 +17,7 @@ from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Report, Schema, Simulator, Transitions
 from tasks import diagnosed, files, tracking, transitions
 from tasks.cells import Curve, finished, may_pass
-from tasks.fingerprint import Codes, fingerprint, relevant_params
+from tasks.fingerprint import Codes, configuration, fingerprint, relevant_params
 from tasks.params import Params, TrainParams
 from tasks.workspace import Cell, Workspace
 
@@ -78,7 +78,7 @@ def steps_at_most(cell: Cell, params: TrainParams) -> int:
     return params.bnn.training_steps(cell.sample_size)
 
 
-@task(task_run_name="{cell.name}", retries=1, retry_condition_fn=may_pass)
+@task(task_run_name="{cell.name}{workspace.suffix}", retries=1, retry_condition_fn=may_pass)
 def train_cell(
     workspace: Workspace, cell: Cell, params: Params, grid: Grid, job: Job, clock: Callable[[], float]
 ) -> None:
@@ -93,7 +93,7 @@ def train_cell(
         if found
         else fingerprint(cell, digest, time_step, params.train, grid.codes.training)
     )
-    with job(cell.name, steps_at_most(cell, params.train)) as report:
+    with job(cell.name + workspace.suffix, steps_at_most(cell, params.train)) as report:
         reused = finished(workspace.model(cell), workspace.record(cell), mark)
         if not reused:
             # Should this training fail, the model of other parameters must not pass for its result.
@@ -135,10 +135,10 @@ def _train(
 def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, tags: dict[str, str]) -> tracking.Run:
     """A finished cell as a run of the grid's: parameters, effects, curve, data set with its digest, model."""
     record = files.read_json(workspace.record(cell))
-    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"]}
+    tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": configuration(cell, params)}
     if cell.share:
         tags |= {"diagnosis": cell.share.name, "effects": ", ".join(record["effects"]) or "none"}
-    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
+    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name + workspace.suffix, tags) as run:
         run.params({**cell._asdict(), **relevant_params(cell, params)})
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)

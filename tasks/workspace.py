@@ -47,10 +47,24 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Workspace:
-    """The folders of one source's recordings, models and results."""
+    """The folders of one source's recordings, models and results.
+
+    Variants, in a sweep over hyperparameters, share the recordings; each has a folder for the rest.
+    """
 
     root: Path
     source: str
+    variant: str = ""
+
+    @property
+    def suffix(self) -> str:
+        """Ends the names of a variant's tasks and runs."""
+        return f"-{self.variant}" if self.variant else ""
+
+    @property
+    def results(self) -> Path:
+        """The folder of all that is made from the recordings."""
+        return self.root / self.variant
 
     @property
     def recordings(self) -> Path:
@@ -62,23 +76,23 @@ class Workspace:
 
     @property
     def models(self) -> Path:
-        return self.root / "models" / self.source
+        return self.results / "models" / self.source
 
     @property
     def policies(self) -> Path:
-        return self.root / "policies" / self.source
+        return self.results / "policies" / self.source
 
     @property
     def tracks(self) -> Path:
-        return self.root / "tracks" / self.source
+        return self.results / "tracks" / self.source
 
     @property
     def scores(self) -> Path:
-        return self.root / "scores" / self.source
+        return self.results / "scores" / self.source
 
     @property
     def reports(self) -> Path:
-        return self.root / "reports" / self.source
+        return self.results / "reports" / self.source
 
     @property
     def tracking(self) -> Path:

@@ -1,9 +1,51 @@
-"""Every test runs with the project's environment, and with a Prefect home of its own."""
+"""Every test runs with the project's environment and compiled code, and with a Prefect home of its own."""
 
 import os
+import socket
+import subprocess
+import sys
 import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
 
 os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are called without a flow here
+os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"  # at its end a process would wait for a server that is gone
 os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="simgap-prefect-")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
 
 import flows  # noqa: F401  # settles the environment before any library reads it
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="session")
+def prefect_server() -> Iterator[dict[str, str]]:
+    """A Prefect server for a test process; gives the environment in which the commands of tests use it.
+
+    A command without it starts one of its own, which takes ten seconds of a core each time.
+    """
+    port = free_port()
+    environment = {**os.environ, "PREFECT_SERVER_API_PORT": str(port)}
+    command = [Path(sys.executable).parent / "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(port)]
+    server = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    address = f"http://127.0.0.1:{port}/api"
+    try:
+        for _ in range(1200):
+            try:
+                with urllib.request.urlopen(f"{address}/health", timeout=1):
+                    break
+            except OSError:
+                assert server.poll() is None
+                time.sleep(0.1)
+        yield {**os.environ, "PREFECT_API_URL": address}
+    finally:
+        server.terminate()
+        server.wait(timeout=30)

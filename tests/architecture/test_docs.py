@@ -1,10 +1,21 @@
 """What the docs name exists."""
 
 import importlib
+import importlib.util
 import re
+import shlex
 from pathlib import Path
 
+from flows import deployments, sweep
+from flows.command import parser
+
 ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    ROOT / "benchmarks/README.md",
+]
 
 
 def test_every_function_in_the_table_of_equations_exists() -> None:
@@ -23,11 +34,85 @@ def test_every_paper_tag_has_one_form() -> None:
 
 def test_make_targets_of_the_readme_exist() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    named = set(re.findall(r"\bmake ([a-z]+)", (ROOT / "README.md").read_text()))
+    named = {target for page in PAGES for target in re.findall(r"`make ([a-z]+)", page.read_text())}
     assert named
     assert named <= targets
 
 
-def test_pictures_of_the_readme_exist() -> None:
-    for link in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", (ROOT / "README.md").read_text()):
-        assert (ROOT / link).is_file(), link
+def test_links_of_the_docs_lead_somewhere() -> None:
+    """To files, and to headings in them."""
+    for path in PAGES:
+        for link in re.findall(r"\]\((?!http)([^)]+)\)", path.read_text()):
+            name, _, heading = link.partition("#")
+            target = path.parent / name if name else path
+            assert target.exists(), f"{path.name}: {link}"
+            if heading:
+                titles = re.findall(r"^#+ (.*)$", target.read_text(), re.MULTILINE)
+                anchors = {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+                assert heading in anchors, f"{path.name}: {link}"
+
+
+COVERED = {
+    r"make run( SOURCE=spot RECORDINGS=path/to/folder)?": ("flows/test_pipeline.py", '"flows.reproduce", "virtual"'),
+    r"make test": ("conftest.py", "PREFECT_HOME"),  # what runs this
+    r"make (up|down)": ("flows/test_operate.py", '"flows.servers", "up"'),
+    r"dvc repro": ("flows/test_dvc.py", 'run("dvc", "repro")'),
+    r"dvc repro spot/dvc\.yaml": ("flows/test_dvc.py", '"dvc", "stage", "list", "spot/dvc.yaml"'),
+    r"dvc exp (run|show).*": ("flows/test_dvc.py", '"dvc", "exp", "run"'),
+    r"dvc metrics diff": ("flows/test_dvc.py", '"dvc", "metrics", "diff"'),
+    r"prefect deployment run sweep/.*": ("flows/test_operate.py", '"prefect", "deployment", "run", "sweep/'),
+    r"simgap sweep .*": ("flows/test_dvc.py", 'run("simgap", "sweep"'),
+    r"simgap diagnose .*": ("flows/test_diagnose.py", '"diagnose", "rail"'),
+    r"simgap (import|check) .*": ("tasks/test_importing.py", '["import", "walk.mcap"'),
+    r"python -m examples\.record .*": ("examples/test_examples.py", "examples.record"),
+    r"python -m flows\.(policy|track) virtual": ("flows/test_dvc.py", 'run("dvc", "repro")'),
+    r"python -m benchmarks\..*": ("architecture/test_docs.py", "test_the_benchmarks_are_there"),
+    r"SIMGAP_CLUSTER=.*": ("flows/test_cluster.py", "SIMGAP_CLUSTER"),
+    r"SIMGAP_PICTURES=.*": ("flows/test_operate.py", "SIMGAP_PICTURES"),
+    # Of the shell alone, and a batch file that needs a cluster, which says so.
+    r"\. \.venv/bin/activate|mkdir .*|export .*|srun .*|until .*|cd .*": ("", ""),
+}
+"""Commands of the docs, and where a test runs each: a file of tests, and what in it does."""
+
+
+def commands() -> list[tuple[str, str]]:
+    """(page, command) of every block without a language or in a shell's."""
+    found = []
+    for path in PAGES:
+        for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL):
+            for line in block.splitlines() if language in ("", "bash") else []:
+                command = re.split(r"\s{2,}#|^#", line)[0].strip()
+                if command:
+                    found.append((path.name, command))
+    return found
+
+
+def test_every_command_of_the_docs_is_run_by_a_test() -> None:
+    assert len(commands()) > 30
+    for page, command in commands():
+        where = [place for pattern, place in COVERED.items() if re.fullmatch(pattern, command)]
+        assert where, f"{page}: {command}"
+        file, text = where[0]
+        assert not file or text in (ROOT / "tests" / file).read_text(), f"{page}: {command}"
+
+
+def test_every_simgap_command_of_the_docs_is_understood() -> None:
+    for page, command in commands():
+        for part in re.findall(r"(?:^|\s)simgap (.*)", command):
+            try:
+                parser().parse_args(shlex.split(part, comments=True))
+            except SystemExit:
+                raise AssertionError(f"{page}: {command}") from None
+
+
+def test_the_benchmarks_are_there() -> None:
+    for _, command in commands():
+        for module in re.findall(r"python -m (benchmarks\.\w+)", command):
+            assert importlib.util.find_spec(module)
+
+
+def test_the_flows_of_the_deployments_have_a_description() -> None:
+    for flow in (sweep.run, deployments.reproduce, deployments.track, deployments.diagnose_recordings):
+        described = flow.parameters.properties
+        assert described
+        assert all(entry.get("description") or "$ref" in entry for entry in described.values()), flow.name

@@ -1,7 +1,6 @@
 """The command `simgap diagnose` as a person runs it: in a folder of their own, with a simulator of their own."""
 
 import html
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
+from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from examples.drive import DRIVE
 from examples.record import record
@@ -24,10 +24,10 @@ ROOT = Path(__file__).parents[2]
 SIMULATORS = "from examples.drive import DRIVE\n\nBROKEN = object()\n"
 
 
-def simgap(folder: Path, *arguments: str) -> tuple[int, str]:
+def simgap(server: dict[str, str], folder: Path, *arguments: str) -> tuple[int, str]:
     """Exit status and what was printed."""
     done = subprocess.run(
-        [Path(sys.executable).parent / "simgap", *arguments], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        [Path(sys.executable).parent / "simgap", *arguments], cwd=folder, env={**server, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=600,
     )  # fmt: skip
     return done.returncode, done.stdout
@@ -45,9 +45,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def output(folder: Path) -> str:
+def output(folder: Path, prefect_server: dict[str, str]) -> str:
     """What a diagnosis prints."""
-    status, output = simgap(folder, "diagnose", "rail", "--simulator", "mine:DRIVE", "--out", "found")
+    status, output = simgap(prefect_server, folder, "diagnose", "rail", "--simulator", "mine:DRIVE", "--out", "found")
     assert status == 0, output
     return output
 
@@ -134,8 +134,10 @@ def test_the_augmented_simulator_is_a_model_in_mlflow(folder: Path, monkeypatch:
         (["rail", "--simulator", "mine:BROKEN"], ["mine:BROKEN: a simulator must have schema"]),
     ],
 )
-def test_wrong_input_is_explained_without_a_traceback(folder: Path, arguments: list[str], words: list[str]) -> None:
-    status, output = simgap(folder, "diagnose", *arguments)
+def test_wrong_input_is_explained_without_a_traceback(
+    folder: Path, prefect_server: dict[str, str], arguments: list[str], words: list[str]
+) -> None:
+    status, output = simgap(prefect_server, folder, "diagnose", *arguments)
     assert status == 1, output
     assert all(word in output for word in words), output
     assert "Traceback" not in output
@@ -153,10 +155,11 @@ def test_wrong_input_is_explained_without_a_traceback(folder: Path, arguments: l
     ],
 )
 def test_wrong_input_is_refused_before_any_work(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], words: str
+    folder: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str], given: dict[str, Any], words: str
 ) -> None:
     monkeypatch.chdir(folder)
     right = {"recordings": Path("rail"), "simulator": "examples.drive:DRIVE", "baseline": None, "heldout": None}
-    with pytest.raises(SimgapError, match=words):
+    served = temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]})
+    with served, pytest.raises(SimgapError, match=words):
         diagnose_folder(**{**right, "out": Path("unused"), **given})
     assert not (folder / "unused").exists()

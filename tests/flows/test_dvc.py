@@ -1,9 +1,11 @@
 """`dvc repro` in a copy of the project at a tiny size: whole once, nothing the second time, sweeps leave no trace."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,38 +33,59 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
     subprocess.run(["git", "add", "-A"], cwd=folder, check=True)
+    author = ("-c", "user.name=test", "-c", "user.email=test@localhost")
+    subprocess.run(["git", *author, "commit", "-qm", "as it is"], cwd=folder, check=True)
     return folder
 
 
-def run(folder: Path, *command: str) -> str:
+@pytest.fixture(scope="module")
+def run(copy: Path, prefect_server: dict[str, str]) -> Callable[..., str]:
+    """Runs a command in the copy; gives what it prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(folder)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=900)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    environment = {**prefect_server, "PATH": path, "PYTHONPATH": str(copy)}
+
+    def ran(*command: str) -> str:
+        done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=900)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return ran
 
 
-def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path) -> None:
-    run(copy, "dvc", "repro")
+def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path, run: Callable[..., str]) -> None:
+    run("dvc", "repro")
     assert (copy / "dvc.lock").exists()
     assert (copy / "reports" / "virtual" / "report.md").exists()
     assert (copy / "reports" / "virtual" / "diagnosis" / "diagnosis.json").exists()
     assert (copy / "reports" / "virtual" / "tracking" / "report.md").exists()
-    assert "up to date" in run(copy, "dvc", "repro")
+    assert "up to date" in run("dvc", "repro")
 
-    before = run(copy, "dvc", "status", "--json")
-    (copy / "more.yaml").write_text("{train: {seeds: [1]}, policy: {seeds: [1]}}\n")
-    run(copy, "python", "-m", "flows.reproduce", "virtual", "--overrides", "more.yaml", "--workspace", "sweeps/more")
-    assert run(copy, "dvc", "status", "--json") == before
+    before = run("dvc", "status", "--json")
+    run("simgap", "sweep", "--name", "more", "--seeds", "1", "2", "--try", "sim_model.weight_decay=0,0.01")
+    assert len((copy / "sweeps" / "more" / "results.csv").read_text().splitlines()) == 1 + 4
+    assert run("dvc", "status", "--json") == before
 
-    metrics = run(copy, "dvc", "metrics", "show", "--json")
+    metrics = run("dvc", "metrics", "show", "--json")
     assert "sim_model" in metrics
     assert "nll" in metrics
+    assert "sim_model" in run("dvc", "metrics", "diff", "--all", "--json")
 
 
-def test_the_real_spots_pipeline_is_complete(copy: Path) -> None:
+def test_an_experiment_changes_what_a_sweep_may_change(copy: Path, run: Callable[..., str]) -> None:
+    """Of DVC, on the stages before it that are there already."""
+    changed = ("train.seeds=[1]", "train.sim_model.learning_rate=0.01", "train.models=[sim_model]")
+    run("dvc", "exp", "run", "--name", "other", *(part for change in changed for part in ("-S", change)), "train")
+    assert [path.name for path in (copy / "models" / "virtual").glob("*.npz")] == ["sim_model-student_t-N40-s1.npz"]
+    assert "other" in run("dvc", "exp", "list", "--name-only")
+    assert (
+        json.loads(run("dvc", "params", "diff", "--json"))["params.yaml"]["train.sim_model.learning_rate"]["new"]
+        == 0.01
+    )
+
+
+def test_the_real_spots_pipeline_is_complete(run: Callable[..., str]) -> None:
     """Without the recordings its stages are there to be listed, and say which folder is missing."""
-    stages = run(copy, "dvc", "stage", "list", "spot/dvc.yaml")
+    stages = run("dvc", "stage", "list", "spot/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == [
         f"spot/dvc.yaml:{stage}"
         for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,16 +54,19 @@ CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
 DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
 
 
-def start(folder: Path, overrides: dict[str, Any]) -> subprocess.Popen[bytes]:
+def start(
+    folder: Path, overrides: dict[str, Any], environment: Mapping[str, str] = os.environ
+) -> subprocess.Popen[bytes]:
     """`make run`'s command in a folder of its own, that holds its MLflow store and what is printed as well.
 
-    A process group of its own: killed with SIGKILL, a run leaves the Prefect server that it started.
+    A process group of its own: killed with SIGKILL, a run leaves what it started. Where the environment names no
+    Prefect server, it starts one.
     """
     folder.mkdir(exist_ok=True)
     (folder / "params.yaml").write_text((ROOT / "params.yaml").read_text())
     (folder / "overrides.yaml").write_text(yaml.safe_dump(overrides))
     command = [sys.executable, "-m", "flows.reproduce", "virtual", "--overrides", "overrides.yaml", "--workspace", "w"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**environment, "PYTHONPATH": str(ROOT)}
     with (folder / "output.txt").open("wb") as output:
         return subprocess.Popen(
             command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
@@ -157,8 +161,10 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
         assert (table[[f"std_{name}" for name in SCHEMA.encoded]].to_numpy() > 0).all()
 
 
-def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Path) -> None:
-    process = start(tmp_path, TINY)
+def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
+    tmp_path: Path, prefect_server: dict[str, str]
+) -> None:
+    process = start(tmp_path, TINY, prefect_server)
     models = tmp_path / "w" / "models" / "virtual"
     deadline = time.monotonic() + 300
     while len(list(models.glob("*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
@@ -168,7 +174,7 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Pat
     before = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert 2 <= len(before) < len(CELLS), "the run was to be killed with some cells done and some not"
 
-    status, output = finish(start(tmp_path, TINY), tmp_path)
+    status, output = finish(start(tmp_path, TINY, prefect_server), tmp_path)
     assert status == 0, output
     after = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert len(after) == len(CELLS)
@@ -183,13 +189,13 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Pat
     assert sorted(grids) == ["FINISHED", "KILLED"]
 
 
-def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
+def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path, prefect_server: dict[str, str]) -> None:
     policy = {**TINY["policy"], "models": ["sim_model"], "sample_sizes": [40]}
     train = {**TINY["train"], "sample_sizes": [40, 100_000], "models": ["sim_model"]}
     overrides = {**TINY, "train": train, "policy": policy}
     stale = Workspace(tmp_path / "w", "virtual").record(Cell("student_t", "sim_model", 100_000, 0))
     files.write_json(stale, {"fingerprint": "of other parameters"})
-    status, output = finish(start(tmp_path, overrides), tmp_path)
+    status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
     assert status == 1
     assert "1 of 2 cells failed" in output
     assert "N = 100000 transitions are asked for" in output
@@ -198,11 +204,14 @@ def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path) -> None:
     assert not stale.exists()
 
 
-def test_models_that_are_given_a_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_that_are_given_a_diagnosis(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str]
+) -> None:
     """One diagnosis serves both; where the recordings are too few for it, their cells fail and lose no other."""
     train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
     policy = {**TINY["policy"], "models": ["sim_model_diagnosed"], "sample_sizes": [80, 100_000]}
-    status, output = finish(start(tmp_path, {**TINY, "train": train, "policy": policy}), tmp_path)
+    overrides = {**TINY, "train": train, "policy": policy}
+    status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
     assert status == 1
     assert "3 of 6 cells failed" in output
     assert "1 of 2 policies failed" in output

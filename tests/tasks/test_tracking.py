@@ -258,9 +258,9 @@ def test_a_link_leads_to_the_run(store: Store):
         pass
     text = tracking.link(store, run.run_id)
     assert text.startswith(f"fsvgd-N100-s0: mlflow ui --backend-store-uri {store.uri}, then http://")
-    assert text.endswith(f"#/experiments/{store.experiment_id}/runs/{run.run_id}")
+    assert f"#/experiments/{store.experiment_id}/runs/{run.run_id}?" in text
     server = Store("https://me:secret@host/", "grid", "7")
-    assert tracking.link(server, "abc") == "https://host/#/experiments/7/runs/abc"
+    assert tracking.link(server, "abc") == "https://host/#/experiments/7/runs/abc?workflowType=machine_learning"
 
 
 def test_a_deleted_experiment_says_what_to_do(tmp_path: Path, store: Store):

@@ -1,0 +1,21 @@
+"""`simgap check`: what a folder of recordings holds and what looks wrong in it. It needs neither Prefect nor MLflow."""
+
+from pathlib import Path
+
+from tasks import check, files, progress, simulators
+
+
+def check_folder(folder: Path, simulator: str, out: Path) -> None:
+    """Print what looks wrong, and write the page."""
+    used = simulators.load(simulator)
+    checked = check.check(folder, used)
+    files.make_folder(out)
+    path = check.write(out, folder.resolve().name, checked, used)
+    for error in checked.left_out:
+        progress.say(f"left out: {error}")
+    for finding in checked.findings:
+        progress.say(f"- {finding}")
+    rows = sum(len(r.time_s) for r in checked.sessions)
+    progress.say(
+        f"{len(checked.sessions)} sessions, {rows:,} rows; {len(checked.findings) or 'no'} findings\npage {path}"
+    )

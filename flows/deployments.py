@@ -1,0 +1,132 @@
+"""What Prefect's pages can start besides sweeps, with typed forms; they write to MLflow and `sweeps/<name>/` alone."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from prefect import flow
+from prefect.runtime import flow_run
+from pydantic import Field
+
+from flows import diagnose as diagnose_flow
+from flows import policy as policy_flow
+from flows import provenance, train
+from flows import reproduce as reproduce_flow
+from flows import track as track_flow
+from flows.start import PARAMS
+from flows.sweep import alone, prepare
+from tasks import artifacts, diagnose, files, forms, tracking
+from tasks import track as track_tasks
+from tasks.forms import Models, Noises, Recordings, SampleSizes, Seeds
+from tasks.params import NoiseName, Params, load_params
+from tasks.workspace import Workspace
+
+Overrides = Annotated[dict[str, Any], Field(default_factory=dict)]
+
+
+@flow(name="reproduce")
+def reproduce(
+    recordings: Recordings,
+    models: Models,
+    noises: Noises,
+    sample_sizes: SampleSizes,
+    seeds: Seeds,
+    overrides: Overrides,
+) -> None:
+    """Everything that `dvc repro` does: recordings, models, scores, report, policies, tracking, diagnosis.
+
+    Args:
+        recordings: What to learn from, and what to judge by.
+        models: How to learn.
+        noises: Families of the learned likelihood.
+        sample_sizes: N, transitions to learn from.
+        seeds: Each draws other transitions, networks and simulators.
+        overrides: Anything else of params.yaml, merged in and checked as the file is; the form's
+            own fields win.
+    """
+    root, grid = _root(), {"models": models, "noises": noises, "sample_sizes": sample_sizes, "seeds": seeds}
+    policies = {"models": models, "noise": noises[-1], "sample_sizes": sample_sizes, "seeds": seeds}
+    params = _params(recordings, {"train": grid, "policy": policies}, overrides)
+    with alone(root):
+        reproduce_flow.run.fn(recordings.source, params, root)
+        workspace = Workspace(root, recordings.source)
+        places = {"report": str(workspace.reports / "report.md"), "tracking": str(workspace.tracking / "report.md"),
+                  "diagnosis": str(workspace.diagnosis / diagnose.PAGE)}  # fmt: skip
+        artifacts.links("reproduce-links", places, f"Reproduction {root.name}")
+
+
+@flow(name="track")
+def track(
+    recordings: Recordings,
+    noise: NoiseName,
+    models: Models,
+    sample_sizes: SampleSizes,
+    seeds: Seeds,
+    environment_steps: Annotated[int, Field(ge=1, le=1_000_000_000)],
+    learning_rate: Annotated[float, Field(gt=0, le=1)],
+    overrides: Overrides,
+) -> None:
+    """Learn models, in each a policy, and run the policies on the virtual Spot along an ellipse and a helix.
+
+    Args:
+        recordings: What to learn from.
+        noise: Family of the likelihood of the models that policies learn in.
+        models: How the models learn.
+        sample_sizes: N, transitions that the models learn from.
+        seeds: Of models and policies.
+        environment_steps: At most so many for a policy.
+        learning_rate: Of soft actor-critic: actor, critics and temperature.
+        overrides: Anything else of params.yaml, merged in and checked as the file is; the form's
+            own fields win.
+    """
+    root, source, grid = _root(), recordings.source, {"models": models, "sample_sizes": sample_sizes, "seeds": seeds}
+    rates = {f"learning_rate_{part}": learning_rate for part in ("alpha", "policy", "q")}
+    learning = {**grid, "noise": noise, "learning": {"environment_steps": environment_steps}, "sac": rates}
+    params = _params(recordings, {"train": {**grid, "noises": [noise]}, "policy": learning}, overrides)
+    with alone(root):
+        prepare(source, params, root)
+        train.run(source, params, root)
+        policy_flow.run(source, params, root)
+        workspace, store = Workspace(root, source), provenance.store(policy_flow.EXPERIMENT)
+        rows = track_flow.run(source, params, root)
+        best = track_tasks.register_best(workspace, rows, noise, root.name, store)
+        artifacts.table("tracking-results", rows, f"Tracking {root.name}")
+        places = {"the best policy in MLflow": tracking.link(store, best), "report": f"{workspace.tracking}/report.md"}
+        artifacts.links("track-links", places, f"Tracking {root.name}")
+
+
+@flow(name="diagnose")
+def diagnose_recordings(
+    recordings: Annotated[str, Field(min_length=1)],
+    simulator: str = "spot",
+    heldout: str = "",
+    baseline: str = "",
+    seed: Annotated[int, Field(ge=0)] = 0,
+) -> None:
+    """Say what a simulator leaves out of recordings.
+
+    Args:
+        recordings: Folder of sessions in the project, such as data/virtual/recordings/training.
+        simulator: spot, or one's own as package.module:name.
+        heldout: Folder of sessions to judge by; empty: some are held out.
+        baseline: Folder of sessions from before the machine changed; empty: none.
+        seed: Of what is drawn.
+    """
+    root = _root()
+    before, judges = (forms.inside(path) if path else None for path in (baseline, heldout))
+    with alone(root):
+        run_id = diagnose_flow.diagnose_folder.fn(forms.inside(recordings), simulator, before, judges, root, seed)
+        store = provenance.store(diagnose_flow.EXPERIMENT)
+        statement = files.read_json(root / diagnose.STATEMENT)["statement"]
+        places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE)}
+        artifacts.links("diagnosis-links", places, statement)
+
+
+def _root() -> Path:
+    return forms.folder(str(flow_run.get_name()))
+
+
+def _params(recordings: Recordings, form: dict[str, Any], overrides: dict[str, Any]) -> Params:
+    """params.yaml with the form's values in it; recordings lie in the project."""
+    params = load_params(PARAMS, overrides, recordings.overrides(load_params(PARAMS, overrides)), form)
+    forms.check_source(params, recordings.source)
+    return params

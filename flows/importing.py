@@ -1,0 +1,28 @@
+"""`simgap import`: bags and tables of one's own robot into recordings. It needs neither Prefect nor MLflow."""
+
+from pathlib import Path
+
+from simgap.types import RecordingError
+from tasks import files, importing, progress, simulators
+
+
+def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
+    """Every session of `source` as the mapping file says; one that cannot be used is told of, and loses no other."""
+    schema = simulators.load(simulator).schema
+    mapping = importing.read_mapping(mapping_file, schema)
+    paths = importing.sources(source)
+    files.make_folder(out)
+    rows: dict[str, int] = {}
+    errors: list[RecordingError] = []
+    for path in paths:
+        name = path.relative_to(source).with_suffix("").as_posix() if path != source else path.stem
+        try:
+            rows |= importing.import_session(path, name, mapping, schema, out)
+        except RecordingError as error:
+            errors.append(error)
+    for error in errors:
+        progress.say(f"left out: {error}")
+    if not rows:
+        raise RecordingError(f"{source}: none of its {len(paths)} sessions can be used; the reasons are above.")
+    progress.say(f"{len(rows)} sessions, {sum(rows.values()):,} rows at {mapping.rate_hz:g} Hz in {out}\n"
+                 f"Look at them with: simgap check {out} --simulator {simulator}")  # fmt: skip

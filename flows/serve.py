@@ -1,0 +1,75 @@
+"""The deployments, served: what Prefect's pages start runs here, a process each."""
+
+import argparse
+import asyncio
+from pathlib import Path
+
+from prefect.deployments.runner import RunnerDeployment
+from prefect.runner import Runner
+from prefect.types.entrypoint import EntrypointType
+
+from flows import deployments, sweep
+from flows.running import LOGS
+from flows.start import PARAMS, guarded
+from tasks import files, forms
+from tasks.params import Params, load_params, read_yaml
+
+READY = LOGS / "deployments.ready"
+"""There while the deployments are served."""
+SOURCE = "virtual"
+
+
+def main() -> None:
+    """Serve until told to end."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--runs", type=int, default=2, help="runs at a time; others wait")
+    given = parser.parse_args()
+    guarded(lambda: asyncio.run(_serve(made(), given.runs)))
+
+
+async def _serve(deployments: list[RunnerDeployment], runs: int) -> None:
+    runner = Runner(name="simgap", limit=runs, pause_on_shutdown=False)
+    for deployment in deployments:
+        await runner.aadd_deployment(deployment)
+    files.write_text(READY, "")
+    try:
+        await runner.start()
+    finally:
+        READY.unlink(missing_ok=True)
+
+
+def made() -> list[RunnerDeployment]:
+    """Every deployment, its form filled in from params.yaml; those called small, from small.yaml besides."""
+    found = []
+    for size, overrides in (("full", []), ("small", [read_yaml(Path("small.yaml"))])):
+        params, rest = load_params(PARAMS, *overrides), forms.besides(overrides[0] if overrides else {})
+        grid = forms.defaults(params, SOURCE)
+        whole = {name: value for name, value in grid.items() if name != "hyperparameters"}
+        for flow, values in (
+            (sweep.run, grid),
+            (deployments.reproduce, {**whole, "overrides": rest}),
+            (deployments.track, _tracking(params, grid["recordings"], rest)),
+        ):
+            found.append(flow.to_deployment(size, parameters=values, entrypoint_type=EntrypointType.MODULE_PATH))
+    found.append(
+        deployments.diagnose_recordings.to_deployment(
+            "any", parameters={"recordings": f"data/{SOURCE}/recordings/training", "seed": params.diagnose.seed},
+            entrypoint_type=EntrypointType.MODULE_PATH,
+        )
+    )  # fmt: skip
+    return found
+
+
+def _tracking(params: Params, recordings: object, overrides: object) -> dict[str, object]:
+    policy = params.policy
+    return {
+        "recordings": recordings,
+        **{name: getattr(policy, name) for name in ("noise", "models", "sample_sizes", "seeds")},
+        "environment_steps": policy.learning.environment_steps,
+        "learning_rate": policy.sac.learning_rate_policy,
+        "overrides": overrides,
+    }
+
+
+if __name__ == "__main__":
+    main()

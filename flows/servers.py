@@ -1,0 +1,178 @@
+"""Prefect's server, MLflow's pages and the served deployments, brought up and taken down: `make up`, `make down`.
+
+What is brought up leaves a file `logs/<name>.pid` each, by which alone it is found again; what each says is in
+`logs/<name>.log`.
+"""
+
+import argparse
+import fcntl
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+
+from flows import running
+from flows.running import LOGS, pid_file
+from flows.start import guarded
+from simgap.types import SimgapError
+from tasks import files, progress
+
+_HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
+_TAIL_LINES = 15
+
+
+class Server(NamedTuple):
+    """One process to keep running: what starts it, what it answers on, and whether it is well."""
+
+    name: str
+    command: list[str]
+    environment: dict[str, str]
+    address: str
+    healthy: Callable[[], bool]
+    port: int | None = None
+
+
+def main() -> None:
+    """`up` or `down`; idempotent, status 1 with an explained error."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    start = commands.add_parser("up")
+    start.add_argument("--host", default="127.0.0.1", help="address to listen on; only this machine is the default")
+    start.add_argument("--prefect-port", type=int, default=4200)
+    start.add_argument("--mlflow-port", type=int, default=5000)
+    start.add_argument("--runs", type=int, default=2, help="runs of deployments at a time; others wait")
+    commands.add_parser("down")
+    given = parser.parse_args()
+    if given.command == "down":
+        guarded(down)
+    else:
+        guarded(lambda: up(given.host, given.prefect_port, given.mlflow_port, given.runs))
+
+
+def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
+    """Start what is not running, wait until all of it is well, and say where it is."""
+    files.make_folder(LOGS)
+    servers = _servers(host, prefect_port, mlflow_port, runs)
+    with Path("mlflow.db.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
+        for server in servers:
+            _start(server)
+    width = max(len(server.name) for server in servers)
+    for server in servers:
+        progress.say(f"{server.name:{width}}  {server.address}   ({LOGS / server.name}.log)")
+    progress.say("`make down` stops them.")
+
+
+def down() -> None:
+    """Stop what `up` started, deployments first so that their runs can tell the server how they ended."""
+    for name in ("deployments", "mlflow", "prefect"):
+        server = running.find(name)
+        if server:
+            _stop(server.process)
+            progress.say(f"{name}: stopped")
+        pid_file(name).unlink(missing_ok=True)
+
+
+def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[Server]:
+    """In the order in which they need each other."""
+    here = "127.0.0.1" if host == "0.0.0.0" else host
+    pages, tracking = f"http://{here}:{prefect_port}", f"http://{here}:{mlflow_port}"
+    binaries = Path(sys.executable).parent
+    prefect = {
+        "PREFECT_HOME": os.environ.get("PREFECT_HOME", os.path.abspath(".prefect")),
+        "PREFECT_API_URL": f"{pages}/api",
+        "PREFECT_SERVER_API_HOST": host,
+        "PREFECT_SERVER_API_PORT": str(prefect_port),
+        "PREFECT_SERVER_UI_API_URL": f"{pages}/api",
+        "PREFECT_LOGGING_LEVEL": "INFO",
+    }
+    serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
+    ui = [str(binaries / "mlflow"), "server", "--host", host, "--port", str(mlflow_port), "--workers", "1",
+          "--backend-store-uri", f"sqlite:///{Path('mlflow.db').absolute()}",
+          "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
+    return [
+        Server(
+            "prefect", [str(binaries / "prefect"), "server", "start", "--host", host, "--port", str(prefect_port)],
+            prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port,
+        ),
+        # Its job workers, seven processes, serve evaluations of language models.
+        Server("mlflow", ui, {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}, tracking,
+               lambda: _answers(f"{tracking}/health"), mlflow_port),
+        Server("deployments", serve, prefect, f"{pages}/deployments",
+               lambda: (LOGS / "deployments.ready").exists()),
+    ]  # fmt: skip
+
+
+def _start(server: Server) -> None:
+    if running.find(server.name):
+        if not server.healthy():
+            raise SimgapError(
+                f"{server.name} runs and does not answer on {server.address}: it is on another port than is asked for "
+                f"now, or it hangs. See {LOGS / server.name}.log; `make down` stops it."
+            )
+        return
+    if server.port and not _free(server.address, server.port):
+        raise SimgapError(
+            f"{server.name}: port {server.port} is taken by another program. Give another one, like "
+            f"`make up {server.name.upper()}_PORT={server.port + 1}`, or end that program."
+        )
+    (LOGS / f"{server.name}.ready").unlink(missing_ok=True)
+    with (LOGS / f"{server.name}.log").open("ab") as log:
+        process = psutil.Popen(
+            server.command, env={**os.environ, **server.environment}, stdin=subprocess.DEVNULL, stdout=log,
+            stderr=subprocess.STDOUT, start_new_session=True,
+        )  # fmt: skip
+    known = {"pid": process.pid, "created": process.create_time(), "address": server.address}
+    files.write_json(pid_file(server.name), known)
+    deadline = time.monotonic() + _HEALTHY_S
+    while not server.healthy():
+        if process.poll() is not None or time.monotonic() > deadline:
+            raise SimgapError(_why(server, process.poll()))
+        time.sleep(_POLL_S)
+
+
+def _why(server: Server, status: int | None) -> str:
+    log = LOGS / f"{server.name}.log"
+    tail = "\n".join(log.read_text(errors="replace").splitlines()[-_TAIL_LINES:])
+    said = f"did not answer within {_HEALTHY_S:.0f} s" if status is None else f"ended with status {status}"
+    return f"{server.name} {said}; the end of {log}:\n{tail}"
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=2) as reply:
+            return reply.status == 200
+    except (OSError, urllib.error.URLError):
+        return False
+
+
+def _free(address: str, port: int) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(1)
+        return probe.connect_ex((address.removeprefix("http://").rsplit(":", 1)[0], port)) != 0
+
+
+def _stop(process: psutil.Process) -> None:
+    """Ask it and its children to end, and make those that do not."""
+    family = [process, *process.children(recursive=True)]
+    process.send_signal(signal.SIGTERM)
+    _, left = psutil.wait_procs(family, timeout=_STOP_S)
+    for member in left:
+        member.terminate()
+    _, left = psutil.wait_procs(left, timeout=3)
+    for member in left:
+        member.kill()
+    psutil.wait_procs(left, timeout=3)
+
+
+if __name__ == "__main__":
+    main()

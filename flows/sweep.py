@@ -1,0 +1,127 @@
+"""A sweep: models, N, seeds and hyperparameters of one's choice, on recordings of one's choice; in `sweeps/<name>/`."""
+
+import fcntl
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+from prefect.runtime import flow_run
+
+from flows import provenance, transitions
+from flows import recordings as recordings_flow
+from flows.fan_out import Place
+from flows.start import PARAMS
+from flows.train import told, train_cells
+from simgap.types import SimgapError
+from tasks import artifacts, files, forms, progress, score, sweep, tracking
+from tasks.forms import Hyperparameters, Models, Noises, Recordings, SampleSizes, Seeds
+from tasks.params import Params, load_params
+from tasks.workspace import Workspace
+
+
+@flow(name="sweep")
+def run(
+    recordings: Recordings,
+    models: Models,
+    noises: Noises,
+    sample_sizes: SampleSizes,
+    seeds: Seeds,
+    hyperparameters: Hyperparameters = Hyperparameters(),  # type: ignore[valid-type]  # noqa: B008
+) -> None:
+    """Train and score every combination; the best is registered in MLflow.
+
+    The run's name is the sweep's: what was finished under it before is not repeated.
+
+    Args:
+        recordings: What to learn from, and what to judge by.
+        models: How to learn.
+        noises: Families of the learned likelihood.
+        sample_sizes: N, transitions to learn from.
+        seeds: Each draws other transitions, networks and simulators.
+        hyperparameters: Values to try, block by block; every combination is trained.
+    """
+    name = str(flow_run.get_name())
+    root = forms.folder(name)
+    grid = {"models": models, "noises": noises, "sample_sizes": sample_sizes, "seeds": seeds}
+    base = [recordings.overrides(load_params(PARAMS)), {"train": grid}]
+    params = load_params(PARAMS, *base)
+    forms.check_source(params, recordings.source)
+    cells = sweep.cells(root, recordings.source, hyperparameters, lambda more: load_params(PARAMS, *base, more))
+    with alone(root):
+        files.write_json(root / "sweep.json", {"recordings": recordings.model_dump(), **grid,
+                                               "hyperparameters": hyperparameters.model_dump()})  # fmt: skip
+        prepare(recordings.source, params, root)
+        _train_and_score(name, root, cells, params)
+
+
+def prepare(source: str, params: Params, root: Path) -> None:
+    """Recordings and transitions, in the run's own folder."""
+    recordings_flow.run(source, params, root)
+    transitions.run(source, params, root)
+
+
+def _train_and_score(name: str, root: Path, cells: dict[Place, Params], params: Params) -> None:
+    workspace = next(iter(cells))[0]
+    shared = Workspace(root, workspace.source)
+    store = provenance.store()
+    tags = {**provenance.tags(shared, shared.transitions), "sweep": name}
+    with tracking.grid_run(store, f"sweep-{name}", params.train.model_dump(), tags) as parent:
+        progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
+        failed = train_cells(cells, tags, parent)
+        rows = _score({place: p for place, p in cells.items() if place not in failed}, parent)
+        if rows:
+            sweep.write(root, rows, params, parent)
+            best = sweep.register_best(rows, name, store)
+            _show(name, rows, best, store, parent)
+        if failed:
+            raise SimgapError(told(failed, len(cells)))
+
+
+def _score(cells: dict[Place, Params], parent: tracking.Run) -> list[sweep.Row]:
+    rows = []
+    if not cells:
+        return rows
+    (workspace, _), params = next(iter(cells.items()))
+    test = score.load_test(workspace, 1 / params.transitions.nominal_rate_hz)
+    with progress.bars(f"score on {workspace.source}", len(cells), time.monotonic) as bars:
+        for (workspace, cell), own in cells.items():
+            with bars.job(cell.name + workspace.suffix, 1):
+                scored = score.score_cell(workspace, cell, test, own.score)
+                logged = score.log_scores(workspace, cell, scored, parent.store, parent.run_id)
+                rows.append(sweep.Row(workspace, cell, scored, logged.run_id if logged else ""))
+    return rows
+
+
+def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: tracking.Store, parent: tracking.Run) -> None:
+    """The results as a table and links in Prefect's pages and in the terminal."""
+    linked = sweep.table(rows, lambda row: f"[MLflow]({tracking.link(store, row.run_id)})")
+    artifacts.table("sweep-results", linked, f"Sweep {name}, best first. Best: {best.title}.")
+    side_by_side = {"compare": tracking.compare(store, "sweep", name)} if store.pages else {}
+    places = {"MLflow": tracking.link(store, parent.run_id), **side_by_side, "folder": str(forms.folder(name))}
+    artifacts.links("sweep-links", places, f"Sweep {name}")
+    progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))
+    progress.say("\n".join(f"{what:8}{place}" for what, place in places.items()))
+    progress.say(f"{'best':8}models:/{sweep.REGISTERED}@{name}   ({best.title})")
+
+
+@contextmanager
+def alone(root: Path) -> Iterator[None]:
+    """Hold a run's folder; SimgapError where another process works in it."""
+    files.make_folder(root)
+    with (root / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SimgapError(
+                f"{root}: another run of this name is at work there. Wait for it, or give this one another name."
+            ) from None
+        yield
+
+
+def start(name: str, arguments: dict[str, Any]) -> None:
+    """A sweep in this process, under a name of one's own or one that Prefect makes up."""
+    named = run.with_options(flow_run_name=name) if name else run
+    named(**arguments)

@@ -1,0 +1,70 @@
+"""Pictures of a check of recordings, as SVG in bytes; equal content makes equal bytes."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
+
+from simgap.types import Field, Recording, Schema
+
+_WIDTH, _COLUMNS, _POINTS = 10.0, 3, 2000
+_STYLE: dict[Any, Any] = {
+    "font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "simgap",
+          "text.parse_math": False}  # fmt: skip
+_BLUE, _GREY = "#1f5fa8", "#9aa0a8"
+
+
+def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
+    """The interval before every row [s], sessions one after another; the simulator's step as a line."""
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDTH, 2.4), layout="constrained")
+        ax = figure.add_subplot()
+        first, low, high = 0, time_step / 2, time_step * 2
+        for i, recording in enumerate(recordings):
+            dt = np.diff(recording.time_s)
+            rows = np.arange(first, first + len(dt))
+            shown = np.unique([*np.linspace(0, len(dt) - 1, _POINTS).astype(int), dt.argmax()])
+            ax.plot(rows[shown], dt[shown], ".", markersize=2, color=(_BLUE, _GREY)[i % 2])
+            first, low, high = first + len(dt), min(low, dt.min()), max(high, dt.max())
+        ax.axhline(time_step, color="black", linewidth=0.8)
+        ax.set(xlabel="row, session after session", ylabel="interval [s]", yscale="log", ylim=(low / 1.1, high * 1.1))
+        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.yaxis.set_minor_formatter(StrMethodFormatter("{x:.2g}"))
+        return _svg(figure)
+
+
+def columns(recording: Recording, schema: Schema) -> bytes:
+    """Every column of a session over time."""
+    series = [
+        *zip(schema.state, recording.state.T, strict=True),
+        *zip(schema.command, recording.command.T, strict=True),
+    ]
+    with matplotlib.rc_context(_STYLE):
+        lines = -(-len(series) // _COLUMNS)
+        figure = Figure(figsize=(_WIDTH, 1.3 * lines + 0.3), layout="constrained")
+        axes = figure.subplots(lines, _COLUMNS, squeeze=False, sharex=True)
+        for ax, (field, values) in zip(axes.flat, series, strict=False):
+            _series(ax, recording, field, values, field in schema.command)
+        for ax in axes.flat[len(series) :]:
+            ax.set_visible(False)
+        for ax in axes[-1]:
+            ax.set_xlabel("time [s]")
+        return _svg(figure)
+
+
+def _series(ax: Axes, recording: Recording, field: Field, values: np.ndarray, command: bool) -> None:
+    every = max(1, len(values) // _POINTS)
+    style = {"drawstyle": "steps-post", "color": "#d1722d"} if command else {"color": _BLUE}
+    ax.plot(recording.time_s[::every], values[::every], linewidth=0.8, **style)  # type: ignore[arg-type]
+    ax.set_title(f"{field.name} [{field.unit}]", loc="left", fontsize=8)
+
+
+def _svg(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    return buffer.getvalue()

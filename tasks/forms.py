@@ -1,0 +1,220 @@
+"""What a person may ask for, as typed forms: Prefect's pages draw them, and check what is put in.
+
+A list of hyperparameters that is left empty takes what params.yaml has.
+"""
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from itertools import product
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from simgap import fsvgd, identify, priors
+from simgap.types import ConfigError
+from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
+
+SWEEPS = Path("sweeps")
+"""Where whatever is not `dvc repro` writes; git and DVC leave it alone."""
+
+Models = Annotated[list[ModelName], Field(min_length=1)]
+Noises = Annotated[list[NoiseName], Field(min_length=1)]
+SampleSizes = Annotated[list[Annotated[int, Field(ge=20, le=1_000_000)]], Field(min_length=1)]
+Seeds = Annotated[list[Annotated[int, Field(ge=0, le=2**31 - 1)]], Field(min_length=1)]
+
+_POSITIVE_COUNT = {"ge": 1, "le": 10_000_000}
+_RANGES: Mapping[str, dict[str, Any]] = {
+    "particles": {"ge": 1, "le": 100, "description": "L, networks of an ensemble."},
+    "batch_size": {"ge": 1, "le": 4096},
+    "epochs": {"ge": 1, "le": 10_000, "description": "Of N steps each."},
+    "max_training_steps": _POSITIVE_COUNT,
+    "training_steps": _POSITIVE_COUNT,
+    "learning_rate": {"gt": 0, "le": 1},
+    "weight_decay": {"ge": 0, "le": 1},
+    "hidden_layer_sizes": {"description": "Units of every layer, such as [64, 64]."},
+    "likelihood_exponent": {"gt": 0, "le": 10},
+    "bandwidth_svgd": {"gt": 0, "le": 1000},
+    "validation_share": {"gt": 0, "lt": 1, "description": "Of the N, for early stopping."},
+    "measurement_sets": {"ge": 1, "le": 100_000},
+    "evaluate_every": {**_POSITIVE_COUNT, "description": "Steps between validations."},
+    "patience": {**_POSITIVE_COUNT, "description": "Steps without a better validation after which training ends."},
+    "lengthscale": {"gt": 0, "le": 1000, "description": "Of the Gaussian process, on normalised inputs."},
+    "outputscale": {"gt": 0, "le": 1000, "description": "Of the Gaussian process, on normalised outputs."},
+    "measurement_points": {"ge": 1, "le": 4096, "description": "Of a set, besides the batch."},
+    "function_samples": {"ge": 2, "le": 100_000, "description": "Simulators drawn for the prior's moments."},
+}
+
+
+class _Form(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Recordings(_Form):
+    """The recordings to learn from."""
+
+    source: str = Field(description="A block of params.yaml's recordings, such as virtual or spot.")
+    folder: str = Field("", description="Folder in the project, in place of the block's; empty: the block's.")
+    training_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
+    test_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
+    session_s: float = Field(0, ge=0, le=3600, description="Their length [s]; 0: as in params.yaml.")
+
+    def overrides(self, params: Params) -> dict[str, Any]:
+        """What it changes in params.yaml; a block has fields for the virtual robot or a folder, not both."""
+        fields = type(params.source(self.source)).model_fields
+        block = {name: value for name, value in self.model_dump(exclude={"source"}).items() if value and name in fields}
+        if self.folder and "folder" not in fields:
+            raise ConfigError(
+                f"recordings.folder: the source {self.source} has no folder, its robot is virtual. Name a source with "
+                "one, such as spot, or leave the folder empty."
+            )
+        return {"recordings": {self.source: block}} if block else {}
+
+
+def _values(config: type, what: str) -> Any:
+    """A form with a list of values to try for every field of a configuration."""
+    fields: dict[str, Any] = {
+        f.name: (list[Annotated[f.type, Field(**_RANGES[f.name])]],  # type: ignore[name-defined]
+                 Field(default_factory=list, description=_RANGES[f.name].get("description")))
+        for f in dataclasses.fields(config)
+    }  # fmt: skip
+    return create_model(what, __base__=_Form, __doc__=f"Values to try of train.{what}; a list left empty takes "
+                        "params.yaml's.", **fields)  # fmt: skip
+
+
+_BLOCKS = {
+    "bnn": fsvgd.Config,
+    "fsvgd": priors.Config,
+    "sim_fsvgd": priors.SimulatorConfig,
+    "sim_model": identify.Config,
+}
+Hyperparameters = create_model(
+    "Hyperparameters", __base__=_Form, __doc__="Values to try, block by block; every combination is trained.",
+    **{name: (form := _values(config, name), Field(default_factory=form)) for name, config in _BLOCKS.items()},  # type: ignore[call-overload]
+)  # fmt: skip
+"""The blocks of `train` in params.yaml with lists for values."""
+
+
+def defaults(params: Params, source: str) -> dict[str, Any]:
+    """What a sweep's form holds before anyone changes it: params.yaml's own experiment."""
+    train, block = params.train, params.source(source)
+    sessions = block.model_dump(exclude={"seed"}) if isinstance(block, VirtualParams) else {}
+    return {
+        "recordings": {"source": source, **sessions},
+        "models": train.models,
+        "noises": train.noises,
+        "sample_sizes": train.sample_sizes,
+        "seeds": train.seeds,
+        "hyperparameters": {
+            block: {f.name: [_plain(getattr(getattr(train, block), f.name))] for f in dataclasses.fields(config)}
+            for block, config in _BLOCKS.items()
+        },
+    }
+
+
+def besides(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Of overrides of params.yaml, those that the forms have no fields for."""
+    own = ("models", "noises", "noise", "sample_sizes", "seeds")
+    return {
+        block: {name: value for name, value in values.items() if name not in own}
+        for block, values in overrides.items()
+        if block != "recordings"
+    }
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def variants(hyperparameters: BaseModel) -> list[dict[str, Any]]:
+    """Every combination of the values, as overrides of `train` by dotted name."""
+    given = {
+        f"{block}.{name}": values
+        for block, form in hyperparameters.model_dump().items()
+        for name, values in form.items()
+        if values
+    }
+    return [dict(zip(given, chosen, strict=True)) for chosen in product(*given.values())]
+
+
+def label(chosen: Mapping[str, Any], hyperparameters: BaseModel, method: str) -> str:
+    """What sets a variant's cell apart, such as `learning_rate=0.01`: of the values tried, those that it depends on."""
+    tried = {f"{block}.{name}" for block, form in hyperparameters.model_dump().items()
+             for name, values in form.items() if len(values) > 1}  # fmt: skip
+    blocks = ("sim_model",) if method == "sim_model" else ("bnn", method)
+    return ",".join(f"{name.split('.')[1]}={_short(value)}" for name, value in chosen.items()
+                    if name in tried and name.split(".")[0] in blocks)  # fmt: skip
+
+
+def _short(value: Any) -> str:
+    return "x".join(map(str, value)) if isinstance(value, list | tuple) else f"{value:g}"
+
+
+def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """`{"bnn.particles": 5}` as `{"bnn": {"particles": 5}}`."""
+    tree: dict[str, Any] = {}
+    for name, value in flat.items():
+        block, key = name.split(".")
+        tree.setdefault(block, {})[key] = value
+    return tree
+
+
+def read_values(texts: Sequence[str]) -> BaseModel:
+    """`bnn.learning_rate=0.001,0.01` and the like, as on a command line; ConfigError names what is wrong."""
+    found: dict[str, dict[str, Any]] = {}
+    for text in texts:
+        name, equals, values = text.partition("=")
+        block, dot, key = name.partition(".")
+        if not (equals and dot):
+            raise ConfigError(f"{text!r}: give a hyperparameter as block.name=value,value, like "
+                              "bnn.learning_rate=0.001,0.01.")  # fmt: skip
+        found.setdefault(block, {})[key] = values
+    return check(Hyperparameters, {
+        block: {key: _listed(key, values) for key, values in keys.items()} for block, keys in found.items()
+    })  # fmt: skip
+
+
+def _listed(key: str, values: str) -> list[Any]:
+    if key == "hidden_layer_sizes":  # 64x64,128x128
+        return [value.split("x") for value in values.split(",")]
+    return values.split(",")
+
+
+def check(form: type[BaseModel], values: Any) -> Any:
+    """The values as that form; ConfigError names every one that is wrong."""
+    try:
+        return form.model_validate(values)
+    except ValidationError as error:
+        lines = [f"  {'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()]
+        raise ConfigError(f"{len(lines)} values are wrong:\n" + "\n".join(lines)) from None
+
+
+def folder(name: str) -> Path:
+    """The folder of a run under `sweeps/`; ConfigError where the name would lead out of it, or hide."""
+    # What MLflow admits as an alias.
+    if not re.fullmatch(r"(?!latest$|newest$|v\d+$)[A-Za-z0-9][A-Za-z0-9_-]{0,99}", name, re.IGNORECASE):
+        raise ConfigError(
+            f"The run's name is {name!r}; it becomes a folder in {SWEEPS}/ and a model's alias, must begin with a "
+            "letter or digit, and hold letters, digits, dashes and underscores only, 100 at most; latest, newest and "
+            "v1, v2, ... are taken. Give another name."
+        )
+    return SWEEPS / name
+
+
+def inside(path: Path | str) -> Path:
+    """A path below the project, as it is written; ConfigError for any other. A link in the project may lead out."""
+    pure = PurePosixPath(path)
+    if pure.is_absolute() or ".." in pure.parts or "\0" in str(path) or not pure.parts:
+        raise ConfigError(
+            f"{str(path)!r}: a folder given in a form must lie in the project: a relative path without `..`, like "
+            "data/external/mine. Put the recordings there, or link to them from there."
+        )
+    return Path(path)
+
+
+def check_source(params: Params, source: str) -> None:
+    """The source is there, and its recordings lie in the project; ConfigError otherwise."""
+    block: VirtualParams | FolderParams = params.source(source)
+    if isinstance(block, FolderParams):
+        inside(block.folder)

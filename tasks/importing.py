@@ -1,0 +1,222 @@
+"""Bags and tables of one's own robot into recordings, by a mapping file: where every column comes from."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from simgap import resample
+from simgap.recordings import HISTORY, check_recording
+from simgap.resample import Stream
+from simgap.types import ConfigError, RecordingError, Schema
+from tasks import bags, files
+from tasks.forms import check
+from tasks.params import read_yaml
+
+TABLES = (".csv", ".parquet")
+
+
+class _Block(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Column(_Block):
+    """Where a column of the schema comes from."""
+
+    topic: str = Field("", description="Of a bag.")
+    field: str = Field("", description="Of its messages, like pose.pose.position.x or data.0; a quaternion for a yaw.")
+    column: str = Field("", description="Of a table.")
+    unit: str = Field("", description="Of the values; empty: the schema's.")
+    frame: Literal["world", "body"] | None = Field(None, description="Of the values; empty: the schema's.")
+    sign: Literal[1, -1] = Field(1, description="-1 where the robot counts the other way round.")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> "Column":
+        if bool(self.column) == bool(self.topic) or bool(self.topic) != bool(self.field):
+            raise ValueError("give topic and field, for a bag, or column, for a table")
+        return self
+
+
+class Time(_Block):
+    """Where stamps come from."""
+
+    bag: Literal["received", "header"] = Field("received", description="When a message came in, or its header's stamp.")
+    column: str = Field("", description="Of a table.")
+    unit: str = Field("s", description="Of a table's.")
+
+
+class MappingFile(_Block):
+    """A mapping file."""
+
+    rate_hz: float = Field(gt=0, le=10_000, description="Rows a second.")
+    longest_gap_s: float = Field(gt=0, description="A session is cut where a column of the state pauses for longer.")
+    time: Time = Time()  # type: ignore[call-arg]
+    columns: dict[str, Column]
+
+
+def read_mapping(path: Path, schema: Schema) -> MappingFile:
+    """The mapping file; ConfigError names what is wrong in it."""
+    try:
+        mapping = check(MappingFile, read_yaml(path))
+        _check_columns(mapping, schema)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return mapping
+
+
+def _check_columns(mapping: MappingFile, schema: Schema) -> None:
+    fields = {f.name: f for f in (*schema.state, *schema.command)}
+    if set(mapping.columns) != set(fields):
+        missing, unknown = sorted(fields.keys() - mapping.columns), sorted(mapping.columns.keys() - fields)
+        told = [
+            f"{what} {', '.join(names)}" for what, names in (("lacks", missing), ("has the unknown", unknown)) if names
+        ]
+        raise ConfigError(f"columns {' and '.join(told)}; it must have {', '.join(fields)}, each once.")
+    for name, column in mapping.columns.items():
+        try:
+            resample.factor(column.unit or fields[name].unit, fields[name].unit)
+        except ConfigError as error:
+            raise ConfigError(f"columns.{name}.unit: {error}") from None
+        if column.frame and column.frame != fields[name].frame and fields[name] in schema.command:
+            raise ConfigError(f"columns.{name}.frame: commands are in the frame of the schema, {fields[name].frame}. "
+                              "Give them so.")  # fmt: skip
+
+
+def sources(folder: Path) -> list[Path]:
+    """The sessions of a folder, or the one that it is: bags and tables, by path."""
+    if bags.is_bag(folder) or folder.suffix.lower() in TABLES:
+        return [folder]
+    if not folder.is_dir():
+        raise RecordingError(f"{folder}: there is no such bag, table or folder. Give the folder of the recordings.")
+    found = [p for p in folder.rglob("*") if p.suffix.lower() in TABLES or bags.is_bag(p)]
+    # What lies in a ROS 2 bag's folder is part of that bag.
+    alone = [p for p in found if not any(bags.is_bag(parent) for parent in p.parents)]
+    if not alone:
+        raise RecordingError(f"{folder}: holds no MCAP file, ROS 2 bag, CSV or Parquet file. Give another folder.")
+    return sorted(alone)
+
+
+def import_session(path: Path, name: str, mapping: MappingFile, schema: Schema, out: Path) -> dict[str, int]:
+    """A bag or table as recordings in `out`, a piece for every part without a gap; returns rows by session.
+
+    Raises SimgapError that names the file where it cannot be used.
+    """
+    try:
+        streams = _streams(path, mapping, schema)
+        pieces = resample.align(schema, streams, mapping.rate_hz, mapping.longest_gap_s)
+        body = {n for n, column in mapping.columns.items() if column.frame == "body"}
+        pieces = [resample.to_world(schema, piece, body) for piece in pieces]
+    except RecordingError as error:
+        raise RecordingError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+    least = HISTORY + 2
+    pieces = [piece for piece in pieces if len(piece["time_s"]) >= least]
+    if not pieces:
+        raise RecordingError(
+            f"{path}: no part of it without a gap above {mapping.longest_gap_s:g} s has {least} rows at "
+            f"{mapping.rate_hz:g} Hz. Raise longest_gap_s, or leave the session out."
+        )
+    rows = {}
+    for k, piece in enumerate(pieces, 1):
+        session = name if len(pieces) == 1 else f"{name}_{k}"
+        files.write_recording(out, check_recording(schema, str(path), piece)._replace(name=session), schema)
+        rows[session] = len(piece["time_s"])
+    return rows
+
+
+def _streams(path: Path, mapping: MappingFile, schema: Schema) -> dict[str, Stream]:
+    """Every column with its stamps, in the schema's units; the earliest stamp is 0."""
+    raw = _of_table(path, mapping) if path.suffix.lower() in TABLES else _of_bag(path, mapping)
+    fields = {f.name: f for f in (*schema.state, *schema.command)}
+    streams = {}
+    for name, (time, values) in raw.items():
+        if not len(time):
+            raise RecordingError(f"column {name} has no values. Look at its topic or column in the mapping file.")
+        column = mapping.columns[name]
+        scale = column.sign * resample.factor(column.unit or fields[name].unit, fields[name].unit)
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], values[order]
+        fresh = np.append(np.diff(time) > 0, True)  # of several values with one stamp, the last
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]}; every value "
+                                 "must be a finite number. Cut the session there.")  # fmt: skip
+        streams[name] = Stream(time[fresh], scale * values[fresh])
+    zero = min(s.time_s[0] for s in streams.values())
+    return {name: Stream(s.time_s - zero, s.values) for name, s in streams.items()}
+
+
+def _of_table(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    wanted = {"time_s": mapping.time.column} | {name: c.column for name, c in mapping.columns.items()}
+    if not all(wanted.values()):
+        lacking = ", ".join(name for name, column in wanted.items() if not column)
+        raise ConfigError(f"{path}: is a table, and the mapping has no `column` for {lacking}. Add it.")
+    table = files.read_table(path, list(dict.fromkeys(wanted.values())))
+    time = table[mapping.time.column] * resample.factor(mapping.time.unit, "s")
+    found = {}
+    for name, column in mapping.columns.items():
+        there = ~np.isnan(table[column.column])  # sensors of other rates leave blanks
+        found[name] = (time[there], table[column.column][there])
+    return found
+
+
+def _of_bag(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    by_topic: dict[str, list[tuple[str, str]]] = {}
+    for name, column in mapping.columns.items():
+        if not column.topic:
+            raise ConfigError(f"{path}: is a bag, and the mapping names no topic for {name}. Add `topic` and `field`.")
+        by_topic.setdefault(column.topic, []).append((name, column.field))
+    times: dict[str, list[float]] = {name: [] for name in mapping.columns}
+    values: dict[str, list[float]] = {name: [] for name in mapping.columns}
+    first: int | None = None
+    for message in bags.messages(path, by_topic.keys()):
+        stamp = _stamp(message, path) if mapping.time.bag == "header" else message.received_ns
+        first = stamp if first is None else first
+        for name, field in by_topic[message.topic]:
+            times[name].append((stamp - first) * 1e-9)  # nanoseconds since 1970 do not fit a float
+            values[name].append(_value(message.content, field, f"{path}: topic {message.topic}"))
+    return {name: (np.array(times[name]), np.array(values[name])) for name in mapping.columns}
+
+
+def _stamp(message: bags.Message, path: Path) -> int:
+    stamp = _member(_member(message.content, "header"), "stamp")
+    seconds = _member(stamp, "sec")
+    nanoseconds = next((n for n in (_member(stamp, "nanosec"), _member(stamp, "nsec")) if n is not None), None)
+    if seconds is None or nanoseconds is None:
+        raise RecordingError(f"{path}: topic {message.topic} has no stamped header. Give `time: {{bag: received}}`.")
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def _member(content: Any, name: str) -> Any:
+    """A field of a message, an entry of a list by its number, or None."""
+    if isinstance(content, Mapping):
+        return content.get(name)
+    if name.isdigit() and hasattr(content, "__getitem__"):
+        return content[int(name)] if int(name) < len(content) else None
+    return None if name.startswith("_") else getattr(content, name, None)
+
+
+def _value(content: Any, field: str, where: str) -> float:
+    found = content
+    for name in field.split("."):
+        inner = _member(found, name)
+        if inner is None:
+            raise RecordingError(f"{where} has no {field!r}: {name!r} is not in {', '.join(_names(found))}. Mend it "
+                                 "in the mapping file.")  # fmt: skip
+        found = inner
+    parts = [_member(found, axis) for axis in "xyzw"]
+    if all(part is not None for part in parts):
+        return resample.yaw(*(float(part) for part in parts))
+    try:
+        return float(found)
+    except (TypeError, ValueError):
+        raise RecordingError(f"{where}: {field!r} must be a number, or a quaternion of which the yaw is taken; it "
+                             f"is {type(found).__name__}. Go on to one of its own fields.") from None  # fmt: skip
+
+
+def _names(content: Any) -> Iterator[str]:
+    if isinstance(content, Mapping):
+        yield from map(str, content)
+    else:
+        yield from (name for name in getattr(content, "__slots__", None) or vars(content) if not name.startswith("_"))

@@ -1,0 +1,82 @@
+"""Stage-less `sweep`: its cells, its results, its best model."""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from prefect import task
+from pydantic import BaseModel
+
+from tasks import files, forms, report, tracking, train
+from tasks.params import Params
+from tasks.workspace import Cell, Workspace
+
+REGISTERED = "dynamics"
+"""The registered model whose versions are the sweeps' best ones, each with its sweep's name as alias."""
+SHOWN = ("nll", "validation_nll", "calibration_error", "seconds")
+
+
+class Row(NamedTuple):
+    """A cell's scores and its run in MLflow."""
+
+    workspace: Workspace
+    cell: Cell
+    scores: dict[str, Any]
+    run_id: str
+
+    @property
+    def title(self) -> str:
+        return self.cell.name + self.workspace.suffix
+
+
+def cells(
+    root: Path, source: str, hyperparameters: BaseModel, params: Callable[[dict[str, Any]], Params]
+) -> dict[tuple[Workspace, Cell], Params]:
+    """Every combination as a cell in a variant's workspace; a cell that a value does not concern is there once.
+
+    `params(overrides)`: the parameters with these changes.
+    """
+    found: dict[tuple[Workspace, Cell], Params] = {}
+    for chosen in forms.variants(hyperparameters):
+        own = params({"train": forms.nested(chosen)})
+        for cell in train.grid(own.train):
+            place = (Workspace(root, source, forms.label(chosen, hyperparameters, cell.method)), cell)
+            found.setdefault(place, own)
+    return found
+
+
+@task(task_run_name="write-{root.name}")
+def write(root: Path, rows: Sequence[Row], params: Params, run: tracking.Run) -> None:
+    """All scores as one table; tables, figures and claims of every variant; all of it beside the sweep's run."""
+    everything = [{"variant": row.workspace.variant, **row.scores} for row in rows]
+    files.write_table(root / "results.csv", everything)
+    run.artifact(root / "results.csv")
+    run.table("results", everything)
+    for workspace in dict.fromkeys(row.workspace for row in rows):
+        own = [row.scores for row in rows if row.workspace == workspace]
+        report.write(workspace, own, params.train.noises, params.report.figure_dpi)
+        for path in sorted(workspace.reports.glob("*.*")):
+            run.artifact(path, f"report/{workspace.variant}".rstrip("/"))
+
+
+@task(task_run_name="register-{name}", retries=1)
+def register_best(rows: Sequence[Row], name: str, store: tracking.Store) -> Row:
+    """The model with the lowest NLL on the test sessions, registered under the sweep's name; returns its row."""
+    best = min(rows, key=_nll)
+    run = tracking.Run(store, best.run_id)
+    run.register(REGISTERED, [name, "newest"], {"cell": best.title, "nll": f"{best.scores['nll']:.4f}"})
+    run.tags({"best_of": name})
+    return best
+
+
+def table(rows: Sequence[Row], link: Callable[[Row], str]) -> list[dict[str, Any]]:
+    """The scores for people, best first, with where each run is."""
+    return [
+        {"model": row.title, **{k: round(row.scores[k], 4) for k in SHOWN}, "run": link(row)}
+        for row in sorted(rows, key=_nll)
+    ]
+
+
+def _nll(row: Row) -> float:
+    return row.scores["nll"] if math.isfinite(row.scores["nll"]) else math.inf

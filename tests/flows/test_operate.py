@@ -1,0 +1,344 @@
+"""`make up` in a folder of its own: what is started from Prefect's form, watched, cancelled and compared in MLflow."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+import yaml
+from conftest import free_port
+from mlflow import MlflowClient
+from test_pipeline import TINY
+
+from tasks import tracking
+from tasks.params import load_params
+
+ROOT = Path(__file__).parents[2]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+ONE: dict[str, Any] = {"models": ["sim_model"], "sample_sizes": [40]}
+
+
+class Place(NamedTuple):
+    """A project's folder and what runs there."""
+
+    folder: Path
+    ports: tuple[int, int]
+
+    @property
+    def prefect(self) -> str:
+        return f"http://127.0.0.1:{self.ports[0]}"
+
+    @property
+    def mlflow(self) -> str:
+        return f"http://127.0.0.1:{self.ports[1]}"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        mine = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        return {**mine, "PATH": path, "PYTHONPATH": str(ROOT), "PREFECT_API_URL": f"{self.prefect}/api"}
+
+    def run(self, *command: str) -> tuple[int, str]:
+        done = subprocess.run(command, cwd=self.folder, env=self.environment, stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT, text=True, timeout=400)  # fmt: skip
+        return done.returncode, done.stdout
+
+    def up(self) -> tuple[int, str]:
+        ports = ("--prefect-port", str(self.ports[0]), "--mlflow-port", str(self.ports[1]))
+        return self.run("python", "-m", "flows.servers", "up", *ports)
+
+    def api(self, path: str, body: Any = None) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(f"{self.prefect}/api/{path}", data, {"Content-Type": "application/json"})
+        with urllib.request.urlopen(request, timeout=30) as reply:
+            return json.load(reply)
+
+    def deployment(self, name: str) -> str:
+        return self.api(f"deployments/name/{name}")["id"]
+
+    def start(self, name: str, parameters: dict[str, Any], run_name: str) -> str:
+        body = {"parameters": parameters, "name": run_name, "state": {"type": "SCHEDULED"}}
+        return self.api(f"deployments/{self.deployment(name)}/create_flow_run", body)["id"]
+
+    def state(self, flow_run: str) -> dict[str, Any]:
+        return self.api(f"flow_runs/{flow_run}")["state"]
+
+    def until(self, flow_run: str, names: set[str], seconds: float) -> dict[str, Any]:
+        deadline = time.monotonic() + seconds
+        while (state := self.state(flow_run))["name"] not in names:
+            assert time.monotonic() < deadline, (state, self.log())
+            time.sleep(0.3)
+        return state
+
+    def log(self) -> str:
+        return (self.folder / "logs" / "deployments.log").read_text()[-4000:]
+
+    def client(self) -> MlflowClient:
+        return MlflowClient(f"sqlite:///{self.folder / 'mlflow.db'}")
+
+    def runs(self, sweep: str) -> list[Any]:
+        client = self.client()
+        experiment = client.get_experiment_by_name("model-validation")
+        assert experiment is not None
+        return client.search_runs([experiment.experiment_id], f"tags.sweep = '{sweep}'")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    """The servers and deployments, up in a folder whose params.yaml is tiny."""
+    folder = tmp_path_factory.mktemp("operate")
+    tiny = {**TINY, "train": {**TINY["train"], **ONE}, "policy": {**TINY["policy"], **ONE}}
+    params = load_params(ROOT / "params.yaml", tiny).model_dump(mode="json")
+    (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
+    (folder / "small.yaml").write_text("train: {sim_model: {training_steps: 50}}\n")
+    place = Place(folder, (free_port(), free_port()))
+    status, output = place.up()
+    try:
+        assert status == 0, output
+        yield place
+    finally:
+        for file in (folder / "logs").glob("*.pid"):
+            process = psutil.Process(json.loads(file.read_text())["pid"])
+            for member in [*process.children(recursive=True), process]:
+                member.kill()
+
+
+def processes(place: Place) -> list[psutil.Process]:
+    found = []
+    for name in ("prefect", "mlflow", "deployments"):
+        process = psutil.Process(json.loads((place.folder / "logs" / f"{name}.pid").read_text())["pid"])
+        found += [process, *process.children(recursive=True)]
+    return found
+
+
+def test_it_listens_on_this_machine_alone_and_up_twice_is_up_once(place: Place) -> None:
+    before = {p.pid for p in processes(place)}
+    listening = [c for p in processes(place) for c in p.net_connections() if c.status == psutil.CONN_LISTEN]
+    assert {c.laddr.port for c in listening} >= set(place.ports)
+    assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
+    status, output = place.up()
+    assert status == 0
+    assert place.prefect in output
+    assert {p.pid for p in processes(place)} == before
+
+
+def test_a_taken_port_is_named(place: Place, tmp_path: Path) -> None:
+    status, output = Place(tmp_path, place.ports).up()
+    assert status == 1
+    assert f"prefect: port {place.ports[0]} is taken" in output
+    assert "PREFECT_PORT=" in output
+    assert "Traceback" not in output
+
+
+def test_the_forms_are_typed_and_filled_in_from_params(place: Place) -> None:
+    params = yaml.safe_load((place.folder / "params.yaml").read_text())
+    found = place.api("deployments/filter", {})
+    assert {d["name"] for d in found} == {"full", "small", "any"}
+    assert len(found) == 7
+    full = place.api("deployments/name/sweep/full")
+    assert full["parameters"]["sample_sizes"] == params["train"]["sample_sizes"]
+    assert full["parameters"]["hyperparameters"]["bnn"]["particles"] == [params["train"]["bnn"]["particles"]]
+    small = place.api("deployments/name/sweep/small")
+    assert small["parameters"]["hyperparameters"]["sim_model"]["training_steps"] == [50]
+    properties = full["parameter_openapi_schema"]["properties"]
+    assert "sim_fsvgd" in json.dumps(properties["models"])
+    assert properties["sample_sizes"]["items"]["minimum"] == 20
+    assert properties["sample_sizes"]["description"] == "N, transitions to learn from."
+    rate = full["parameter_openapi_schema"]["definitions"]["bnn"]["properties"]["learning_rate"]
+    assert (rate["items"]["exclusiveMinimum"], rate["items"]["maximum"]) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"sample_sizes": [3]}, "3 is less than the minimum of 20"),
+        ({"models": ["gp"]}, "'gp' is not one of"),
+        ({"hyperparameters": {"bnn": {"learning_rate": [7]}}}, "7 is greater than the maximum of 1"),
+        ({"hyperparameters": {"bnn": {"learning_rat": [0.1]}}}, "'learning_rat' was unexpected"),
+    ],
+)
+def test_a_wrong_value_in_the_form_is_refused_and_named(place: Place, parameters: dict[str, Any], words: str) -> None:
+    with pytest.raises(urllib.error.HTTPError) as error:
+        place.start("sweep/full", parameters, "wrong")
+    assert words in error.value.read().decode()
+
+
+def test_cancelling_ends_the_work_and_leaves_nothing_running(place: Place) -> None:
+    long = {"sim_model": {"training_steps": [10_000_000], "evaluate_every": [1000]}}
+    status, output = place.run("prefect", "deployment", "run", "sweep/full", "--flow-run-name", "long", "--param",
+                               f"hyperparameters={json.dumps(long)}")  # fmt: skip
+    assert status == 0, output
+    flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
+    trained = {"flow_runs": {"id": {"any_": [flow_run]}}, "task_runs": {"name": {"like_": "sim_model-"}}}
+    wait_for(lambda: [t for t in place.api("task_runs/filter", trained) if t["state"]["name"] == "Running"], 300)
+    place.api(f"flow_runs/{flow_run}/set_state", {"state": {"type": "CANCELLING", "name": "Cancelling"}})
+    place.until(flow_run, {"Cancelled"}, 60)
+    workers = [p for p in processes(place) if any("prefect.engine" in part for part in p.cmdline())]
+    assert not workers
+    assert {run.info.status for run in place.runs("long")} == {"KILLED"}
+    assert not list((place.folder / "sweeps" / "long").rglob("*.tmp"))
+
+
+ASKED: list[str] = []
+"""Every address that the pages asked for."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        pytest.skip("no chromium is installed: apt-get install chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.set_default_timeout(60_000)
+        page.on("request", lambda request: ASKED.append(request.url))
+        yield page
+        browser.close()
+
+
+PICTURES = os.environ.get("SIMGAP_PICTURES")
+"""Environment variable: the folder in which the docs keep pictures of the pages; a test draws them anew there."""
+
+
+def picture(page: Any, name: str, folder: Path) -> None:
+    page.screenshot(path=Path(PICTURES or folder) / f"{name}.png")
+
+
+@pytest.fixture(scope="module")
+def swept(place: Place, browser: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A sweep over two seeds, started from Prefect's form, when it has ended: its flow run, and the pictures."""
+    pictures = tmp_path_factory.mktemp("pictures")
+    browser.goto(f"{place.prefect}/deployments/deployment/{place.deployment('sweep/full')}/run")
+    seeds = "xpath=//*[contains(text(),'Each draws other transitions')]"
+    browser.locator("xpath=//*[normalize-space(text())='Run Name']/following::input[1]").fill("from-the-form")
+    browser.locator(f"{seeds}/following::button[contains(.,'Add item')][1]").click()
+    browser.locator(f"{seeds}/following::input[@type='number'][2]").fill("1")
+    browser.locator(f"{seeds}/following::input[@type='number'][2]").scroll_into_view_if_needed()
+    picture(browser, "prefect_form", pictures)
+    browser.get_by_role("button", name="Submit").click()
+    (run,) = wait_for(lambda: place.api("flow_runs/filter", {"flow_runs": {"name": {"any_": ["from-the-form"]}}}))
+    assert run["parameters"]["seeds"] == [0, 1]
+    state = place.until(run["id"], {"Completed", "Failed", "Crashed"}, 400)
+    assert state["name"] == "Completed", (state, place.log())
+    return run["id"], pictures
+
+
+def wait_for(what: Any, seconds: float = 60) -> Any:
+    deadline = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    return found
+
+
+def test_prefect_shows_the_run_its_tasks_and_a_table_with_links(
+    place: Place, browser: Any, swept: tuple[str, Path]
+) -> None:
+    flow_run, pictures = swept
+    browser.goto(f"{place.prefect}/runs/flow-run/{flow_run}")
+    browser.get_by_text("Completed").first.wait_for()
+    browser.get_by_text("train on virtual: 2 of 2 done").first.wait_for()
+    picture(browser, "prefect_run", pictures)
+    names = {t["name"] for t in place.api("task_runs/filter", {"flow_runs": {"id": {"any_": [flow_run]}}})}
+    assert {"sim_model-student_t-N40-s0", "score-sim_model-student_t-N40-s1", "register-from-the-form"} <= names
+    browser.get_by_text("Artifacts", exact=True).click()
+    browser.get_by_text("sweep-results").first.click()
+    link = browser.get_by_role("link", name="MLflow").first
+    link.wait_for()
+    picture(browser, "prefect_results", pictures)
+    assert link.get_attribute("href").startswith(place.mlflow)
+    artifacts = place.api("artifacts/filter", {"artifacts": {"flow_run_id": {"any_": [flow_run]}}})
+    progress = [a["data"] for a in artifacts if a["type"] == "progress"]
+    assert progress == [100.0]
+
+
+def test_mlflow_shows_the_runs_side_by_side(place: Place, browser: Any, swept: tuple[str, Path]) -> None:
+    _, pictures = swept
+    client, runs = place.client(), place.runs("from-the-form")
+    cells = [run for run in runs if "mlflow.parentRunId" in run.data.tags]
+    assert len({run.data.tags["config"] for run in cells}) == 2
+    store = tracking.open_store(place.folder, "model-validation", pages=place.mlflow)
+    artifacts = place.api("artifacts/filter", {"artifacts": {"key": {"any_": ["sweep-links"]}}})
+    (address,) = re.findall(r"\((http[^)]*viewStateShareKey=[^)]*)\)", artifacts[0]["data"])
+    browser.goto(address)
+    for name in ("sim_model-student_t-N40-s1", "nll", "seconds"):
+        browser.get_by_text(name, exact=True).first.wait_for()
+    browser.get_by_label("Close").last.click()  # an assistant that nobody called
+    picture(browser, "mlflow_runs", pictures)
+    ids = json.dumps([run.info.run_id for run in cells])
+    browser.goto(f"{place.mlflow}/#/compare-runs?runs={ids}&experiments={json.dumps([store.experiment_id])}")
+    browser.get_by_text("Comparing 2 Runs").first.wait_for()
+    browser.get_by_text("Parallel Coordinates Plot").first.wait_for()
+    picture(browser, "mlflow_compare", pictures)
+
+    (parent,) = [run for run in runs if run not in cells]
+    logged = {file.path for file in client.list_artifacts(parent.info.run_id)}
+    assert {"results.csv", "results.json", "report"} <= logged
+    assert "report/nll_against_n.png" in {file.path for file in client.list_artifacts(parent.info.run_id, "report")}
+
+
+@pytest.mark.usefixtures("swept")
+def test_the_best_model_loads_in_three_lines(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = place.client()
+    version = client.get_model_version_by_alias("dynamics", "from-the-form")
+    scores = {
+        run.info.run_id: run.data.metrics["nll"] for run in place.runs("from-the-form") if "nll" in run.data.metrics
+    }
+    assert len(scores) == 2
+    assert scores[str(version.run_id)] == min(scores.values())
+    readme = (ROOT / "README.md").read_text()
+    (lines,) = re.findall(r"```python\n(import mlflow\n.*?)```", readme, re.DOTALL)
+    monkeypatch.chdir(place.folder)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "")  # which the lines set, for other tests too
+    named: dict[str, Any] = {}
+    exec(lines.replace("<sweep>", "from-the-form"), named)
+    named["mlflow"].set_tracking_uri(None)
+    columns = [column.name for column in named["model"].metadata.get_input_schema()]
+    table = named["model"].predict(pd.DataFrame(np.zeros((3, len(columns))), columns=columns))
+    assert np.isfinite(table.to_numpy()).all()
+
+
+def test_a_diagnosis_is_read_in_mlflow(place: Place, browser: Any, swept: tuple[str, Path]) -> None:
+    """The page of the project's own report, logged as a diagnosis logs it."""
+    page = ROOT / "reports" / "virtual" / "diagnosis" / "diagnosis.html"
+    store = tracking.open_store(place.folder, "diagnosis", pages=place.mlflow)
+    with tracking.diagnosis_run(store, "virtual-spot", {}) as run:
+        run.artifact(page)
+    path = f"experiments/{store.experiment_id}/runs/{run.run_id}/artifacts/{page.name}?workflowType=machine_learning"
+    browser.goto(f"{place.mlflow}/#/{path}")
+    shown = browser.frame_locator("iframe").get_by_text("Where is the mismatch?")
+    shown.first.wait_for()
+    browser.get_by_text("Path: file:").evaluate("line => line.style.visibility = 'hidden'")  # of this machine
+    picture(browser, "mlflow_diagnosis", swept[1])
+
+
+@pytest.mark.usefixtures("swept")
+def test_no_page_asks_anything_of_another_machine() -> None:
+    assert len(ASKED) > 50
+    elsewhere = {url for url in ASKED if not re.match(r"(http|ws)://127\.0\.0\.1:|data:|blob:", url)}
+    assert not elsewhere
+
+
+def test_down_stops_all_of_it_and_nothing_else(place: Place) -> None:
+    """The last test of the file: nothing is up after it."""
+    before, mine = processes(place), psutil.Process(os.getpid())
+    status, output = place.run("python", "-m", "flows.servers", "down")
+    assert (status, output.count("stopped")) == (0, 3), output
+    assert not [p for p in before if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
+    assert mine.is_running()
+    assert not list((place.folder / "logs").glob("*.pid"))
+    assert place.run("python", "-m", "flows.servers", "down") == (0, "")

@@ -1,0 +1,223 @@
+"""Disks that are full, stores that are locked, read-only or gone, files that are damaged: told, and nothing is lost."""
+
+import multiprocessing
+import os
+import pickle
+import resource
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import mlflow.pyfunc
+import numpy as np
+import pytest
+
+from flows.sweep import alone
+from simgap.simulators.spot import SCHEMA
+from simgap.types import SimgapError
+from tasks import files, tracking
+
+ROOT = Path(__file__).parents[2]
+ARRAYS = {"a": np.arange(1000.0)}
+
+
+def test_a_full_disk_is_told_of_and_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "model.npz"
+    files.save_arrays(path, ARRAYS)
+    before = path.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))  # no file may grow beyond it, as on a full disk
+    try:
+        with pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Make room"):
+            files.save_arrays(path, {"a": np.arange(2000.0)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["model.npz"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from tasks import files
+os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+files.save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
+"""
+
+
+def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "models" / "model.npz"
+    files.save_arrays(path, ARRAYS)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(path)], cwd=ROOT, timeout=200)
+    assert done.returncode == -signal.SIGKILL
+    np.testing.assert_array_equal(files.load_arrays(path)["a"], ARRAYS["a"])
+    left = [p.name for p in path.parent.iterdir() if p != path]
+    assert [name for name in left if not (name.startswith(".") and name.endswith(".tmp"))] == []
+    (path.parent / left[0]).rename(path.parent / ".session.csv.tmp")
+    with pytest.raises(SimgapError, match="no file matches"):
+        files.read_recordings(path.parent, SCHEMA, 0.1)
+
+
+def test_a_file_where_a_folder_must_be_is_told_of(tmp_path: Path) -> None:
+    (tmp_path / "models").write_text("")
+    with pytest.raises(SimgapError, match=r"x\.npz: cannot be written \(.*start again"):
+        files.save_arrays(tmp_path / "models" / "x.npz", ARRAYS)
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not an archive", None])
+def test_a_damaged_artifact_counts_as_none(tmp_path: Path, damage: bytes | None) -> None:
+    record, arrays = tmp_path / "cell.json", tmp_path / "cell.npz"
+    files.save_arrays(arrays, ARRAYS)
+    files.write_json(record, {"fingerprint": "f"})
+    assert files.fingerprint_of(record, arrays) == "f"
+    whole = arrays.read_bytes()
+    arrays.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
+    assert files.fingerprint_of(record, arrays) is None
+    arrays.write_bytes(whole)
+    record.write_text('{"fingerpr')
+    assert files.fingerprint_of(record, arrays) is None
+    record.write_text("[1]")
+    assert files.fingerprint_of(record, arrays) is None
+
+
+def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
+    class Bomb:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return os.mkdir, (str(tmp_path / "exploded"),)
+
+    np.savez(tmp_path / "x.npz", a=np.array([Bomb()], dtype=object))
+    (tmp_path / "y.npz").write_bytes(pickle.dumps(Bomb()))
+    for name in ("x.npz", "y.npz"):
+        with pytest.raises(SimgapError, match="is no whole file of arrays"):
+            files.load_arrays(tmp_path / name)
+    assert not (tmp_path / "exploded").exists()
+
+
+# The store
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with its tables, which take seconds to make."""
+    folder = tmp_path_factory.mktemp("store")
+    tracking.open_store(folder, "grid")
+    return folder
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    shutil.copy(made / "mlflow.db", tmp_path / "mlflow.db")
+    return tmp_path
+
+
+def logged(store: tracking.Store) -> str:
+    with tracking.grid_run(store, "grid", {"a": 1}, {}) as run:
+        run.scores({"nll": 1.0})
+    return run.run_id
+
+
+def test_a_locked_store_is_waited_for(root: Path) -> None:
+    store = tracking.open_store(root, "grid")
+    holder = sqlite3.connect(root / "mlflow.db", check_same_thread=False)
+    holder.execute("BEGIN EXCLUSIVE")
+    release = threading.Timer(7.0, holder.rollback)  # SQLite by itself gives up after five
+    release.start()
+    run_id = logged(store)
+    release.join()
+    holder.close()
+    assert store.client.get_run(run_id).data.metrics == {"nll": 1.0}
+
+
+def test_a_store_that_stays_locked_is_told_of(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
+    store = tracking.open_store(root, "grid")
+    with sqlite3.connect(root / "mlflow.db") as holder:
+        holder.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(tracking.StoreError, match=r"mlflow\.db refused .*locked.* start again"):
+            logged(store)
+
+
+def test_a_read_only_store_is_told_of(root: Path) -> None:
+    uri = f"sqlite:///file:{root / 'mlflow.db'}?mode=ro&uri=true"
+    with pytest.raises(tracking.StoreError, match=r"refused .*readonly.* may be written to"):
+        logged(tracking.open_store(root, "grid", uri))
+
+
+def test_a_server_that_is_gone_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound and not listening: nobody answers there
+        uri = f"http://127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(tracking.StoreError, match=f"{uri} refused .* start again"):
+            logged(tracking.Store(uri, "grid", "1"))
+
+
+def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
+    store = tracking.open_store(root, "grid")
+
+    def work() -> None:
+        with sqlite3.connect(root / "mlflow.db") as holder, tracking.grid_run(store, "grid", {}, {}):
+            holder.execute("BEGIN EXCLUSIVE")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert tracking.close_stale_runs(store) == [], "its process, this one, is there"
+
+
+def _write(root: str, name: str, count: int, together: Any) -> None:
+    store = tracking.open_store(Path(root), "grid")
+    together.wait(200)
+    for i in range(count):
+        with tracking.cell_run(store, "none", f"{name}-{i}", {"sweep": name}) as run:
+            run.params({"i": i})
+            run.curve(range(20), {"loss": list(range(20))})
+
+
+def test_two_at_once_lose_nothing(root: Path) -> None:
+    """Two processes write to one store."""
+    spawn = multiprocessing.get_context("spawn")
+    together = spawn.Barrier(2)
+    other = spawn.Process(target=_write, args=(str(root), "other", 40, together))
+    other.start()
+    _write(str(root), "one", 40, together)
+    other.join(200)
+    assert other.exitcode == 0
+    store = tracking.open_store(root, "grid")
+    runs = store.client.search_runs([store.experiment_id])
+    assert len(runs) == 80
+    assert {run.info.status for run in runs} == {"FINISHED"}
+
+
+def test_one_name_is_one_run_at_a_time(tmp_path: Path) -> None:
+    with alone(tmp_path / "mine"):
+        with pytest.raises(SimgapError, match="another run of this name is at work"), alone(tmp_path / "mine"):
+            pass
+        with alone(tmp_path / "other"):
+            pass
+    with alone(tmp_path / "mine"):
+        pass
+
+
+def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = tracking.open_store(root, "grid")
+    from test_files import fitted_spot
+
+    files.save_model(tmp_path / "model.npz", fitted_spot())
+    for sweep in ("one", "other"):
+        with tracking.cell_run(store, "none", "cell", {}) as run:
+            run.model(tmp_path / "model.npz", [f"x{i}" for i in range(31)], [f"y{i}" for i in range(13)])
+        run.register("dynamics", [sweep, "newest"], {"cell": "cell"})
+    versions = {a: store.client.get_model_version_by_alias("dynamics", a).version for a in ("one", "other", "newest")}
+    assert versions == {"one": 1, "other": 2, "newest": 2}
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", store.uri)
+    assert mlflow.pyfunc.load_model("models:/dynamics@one")
