@@ -18,6 +18,8 @@ AUGMENTED = (*TRAINING, "simgap.simulators.augmented")
 """The same for models that are given a diagnosed simulator."""
 DIAGNOSIS = ("simgap.diagnosis.explain",)
 """Where the code that finds effects begins."""
+WHOLE_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.simulators.spot")
+"""Where the code that an examination examines begins."""
 POLICY = ("simgap.policies.learn", "simgap.policies.environment", "simgap.policies.actor")
 """Where the code that learns a policy begins."""
 
