@@ -5,11 +5,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concealed.catalogue import OUTSIDE, make
+from concealed.catalogue import make
 from concealed.form import Array, Form, Size
 from concealed.operator import Habits, Person
 from concealed.plain import (
-    COMMAND, TIME_STEP, Noise, Robot, advance, correct, innovations, observer, refit, robot, turned, wrapped,
+    COMMAND,
+    TIME_STEP,
+    Noise,
+    Robot,
+    advance,
+    correct,
+    innovations,
+    observer,
+    observers,
+    refit,
+    robot,
+    turned,
+    wrapped,
 )  # fmt: skip
 from concealed.robot import Chance, Gate, Tape, run
 from concealed.strength import reach_for, strengths
@@ -53,8 +65,20 @@ class Case(NamedTuple):
     key: dict[str, Any]
 
 
-HARDER = {"Delay": {"jitter": 0.3}, "StickSlip": {"hold": 1.6}, "LateSensor": {"jitter": 0.3}, "Slope": {"uneven": 0.6},
-          "Floor": {"uneven": 0.02}, "Stalls": {"share": 0.12}, "Dropout": {"shortest": 0.1, "longest": 1.9}}  # fmt: skip
+def noise_of(level: float) -> Noise:
+    """Noise in terms of the usual one."""
+    return Noise(PROCESS * level, MEASURED * level)
+
+
+HARDER = {
+    "Delay": {"jitter": 0.3},
+    "Dropout": {"shortest": 0.1, "longest": 1.9},
+    "Floor": {"uneven": 0.02},
+    "LateSensor": {"jitter": 0.3},
+    "Slope": {"uneven": 0.6},
+    "Stalls": {"share": 0.12},
+    "StickSlip": {"hold": 1.6},
+}
 """Other forms of the same effects, for examinations."""
 
 
@@ -64,8 +88,8 @@ def conceal(recipe: Recipe, seed: int) -> Case:
     drawn, wanted, form_rng, luck, person, noise_rng, gate_rng = streams
     del wanted
     sessions, rows = SIZES[recipe.size]
-    of, noise = _robot(drawn, recipe.wild), Noise(PROCESS * recipe.level, MEASURED * recipe.level)
-    by, habits = observer(of, noise), _habits(drawn, recipe.poor)
+    of, noise = _robot(drawn, recipe.wild), noise_of(recipe.level)
+    by, habits = observers(of, noise), _habits(drawn, recipe.poor)
     first = _first(drawn, sessions)
     forms = [make(name, form_rng) for name in recipe.names]
     if recipe.harder:
@@ -106,7 +130,7 @@ def conceal(recipe: Recipe, seed: int) -> Case:
         "verdicts": _verdicts(recipe), "recipe": recipe._asdict(), "seed": seed,
         "effects": [
             {"id": name, "form": type(form).__name__, "accept": [name, *form.accept], "why": form.why,
-             "channels": list(form.channels), "outputs": list(form.outputs), "depends": list(getattr(form, "depends", ())),
+             "channels": list(form.channels), "outputs": list(form.outputs), "depends": list(form.depends),
              "constants": form.constants(float(m)), "magnitude": float(m), "strength": nats}
             for name, form, m, (_, nats) in zip(recipe.names, forms, magnitude[0], alone, strict=True)
         ],
@@ -185,13 +209,13 @@ def _gate(
         tape = bare()
         edge = float(np.quantile(features(tape.true, tape.command)[name], rng.uniform(0.5, 0.75)))
         rule = f"{name} > {edge:.4g} {REGIMES[name]}"
-        return lambda t, x, u: (features(x, u)[name] > edge).astype(float), {"regime": rule}
+        return lambda _, x, u: (features(x, u)[name] > edge).astype(float), {"regime": rule}
     if recipe.kind == "onset":
         row = int(rng.uniform(0.3, 0.65) * rows)
         session = int(rng.choice([s for s in range(sessions) if s % 4 != 3])) if recipe.one_session else None
         here = np.ones(sessions) if session is None else (np.arange(sessions) == session).astype(float)
         when = {"from_s": row * TIME_STEP, "session": session}
-        return lambda t, x, u: float(t >= row) * np.tile(here, len(x) // sessions), when
+        return lambda t, x, _: float(t >= row) * np.tile(here, len(x) // sessions), when
     return None, None
 
 
@@ -224,8 +248,3 @@ def _forecast(of: Robot, noise: Noise, state: Array, command: Array) -> tuple[Ar
     error = wrapped(y[:, -1] - x)
     moved = wrapped(y[:, -1] - y[:, RUN_IN])
     return (error**2).mean(0), np.maximum((moved**2).mean(0), 1e-12)
-
-
-def outside(name: str) -> bool:
-    """Whether a law has no id."""
-    return name in OUTSIDE

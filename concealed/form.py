@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 SUBSTEPS = 8
 """Of a row."""
@@ -70,6 +70,8 @@ class Form:
     """Magnitude that is large: the search for a wanted strength ends there."""
     channels: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    depends: tuple[str, ...] = ()
+    """What a law without an id depends on."""
     accept: tuple[str, ...] = ()
     """Other ids that are right answers too."""
     why = ""
@@ -112,7 +114,7 @@ class Form:
         return p, v
 
     def sense(self, t: int, true: Array, seen: Array) -> Array:
-        """What is measured at row t [B, 12], given the true states so far [T, B, 12] and what is measured but for this."""
+        """What is measured at row t [B, 12], given the true states so far [T, B, 12] and what is measured besides."""
         return seen
 
     def scatter(self, t: int, true: Array, noise: Array) -> Array:

@@ -30,8 +30,7 @@ class Person:
 
     def __init__(self, habits: Habits, size: Size, rng: np.random.Generator) -> None:
         s, rows = size.sessions, size.rows
-        draw = {"kind": np.zeros((rows, s, 6), int), "level": np.zeros((rows, s, 6)), "hertz": np.ones((rows, s, 6)),
-                "phase": np.zeros((rows, s, 6)), "goal": np.zeros((rows, s, 6)), "ease": np.zeros((rows, s, 6))}  # fmt: skip
+        draw = {name: np.zeros((rows, s, 6)) for name in ("kind", "level", "hertz", "phase", "goal", "ease")}
         for i in range(s):
             for c in range(6):
                 t = 0

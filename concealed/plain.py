@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 TIME_STEP = 1 / 15
 """Between rows [s]."""
@@ -20,6 +20,8 @@ COMMAND = ("cmd_base_vx", "cmd_base_vy", "cmd_base_wz", "cmd_ee_vx", "cmd_ee_vy"
 P_BASE, V_BASE, P_EE, V_EE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 POSITION, VELOCITY = np.array([0, 1, 2, 6, 7, 8]), np.array([3, 4, 5, 9, 10, 11])
 PARAMETERS = 24
+SETTLED = 150
+"""Rows after which a filter is as good as steady."""
 ARM = 0.5
 """Usual lever from base to hand across the motion of each axis [m]."""
 
@@ -92,20 +94,28 @@ class Noise(NamedTuple):
 
 
 class Observer(NamedTuple):
-    """Steady-state Kalman filter of every axis (position, velocity) by itself: gain and innovation covariance.
+    """A steady-state filter of every axis (position, velocity) by itself.
 
-    gain, weight: [6, 2, 2]; weight is the inverse of the covariance's Cholesky factor, so that weight @ innovation is
-    white with unit variance.
+    gain [..., 6, 2, 2]; cov: of its innovations [..., 6, 2, 2]; weight: inverse of the covariance's Cholesky factor, so
+    that weight @ innovation is white with unit variance.
     """
 
     gain: Array
-    weight: Array
     cov: Array
+    weight: Array
 
 
-def observer(of: Robot, noise: Noise) -> Observer:
-    """The filter for a robot [1, ...] with known noise [Kalman 1960]; the coupling between axes is left aside."""
-    gains, weights, covs = [], [], []
+EAGER = (0.0, 0.25, 0.65)
+"""Shares of the way from the best gain for the noise to full trust in what is measured."""
+
+
+def observers(of: Robot, noise: Noise) -> Observer:
+    """Filters [len(EAGER), ...] for a robot [1, ...] with known noise; the first is Kalman's [Kalman 1960].
+
+    The coupling between axes is left aside, but for the noise that the base hands on to the hand.
+    """
+    gains, covs = np.empty((len(EAGER), 6, 2, 2)), np.empty((len(EAGER), 6, 2, 2))
+    eye = np.eye(2)
     for i in range(6):
         p, v = POSITION[i], VELOCITY[i]
         a, g = of.alpha[0, i], TIME_STEP * of.gamma[0, i]
@@ -114,16 +124,23 @@ def observer(of: Robot, noise: Noise) -> Observer:
         spread = noise.process[[p, v]] ** 2
         if i in (3, 4):  # the base's motion moves the hand as well
             spread[1] += noise.process[V_BASE][:2].mean() ** 2 + (ARM * noise.process[5]) ** 2
-        Q = G @ np.diag(spread) @ G.T
-        R = np.diag(noise.measured[[p, v]] ** 2)
-        P, S = Q + R, R
-        for _ in range(200):
-            S = P + R
-            P = F @ (P - P @ np.linalg.solve(S, P)) @ F.T + Q
-        gains.append(P @ np.linalg.inv(S))
-        weights.append(np.linalg.inv(np.linalg.cholesky(S)))
-        covs.append(S)
-    return Observer(np.stack(gains), np.stack(weights), np.stack(covs))
+        Q, R = G @ np.diag(spread) @ G.T, np.diag(noise.measured[[p, v]] ** 2)
+        P = Q + R
+        for _ in range(SETTLED):
+            K = P @ np.linalg.inv(P + R)
+            P = F @ (P - K @ P) @ F.T + Q
+        best = P @ np.linalg.inv(P + R)
+        for j, eager in enumerate(EAGER):
+            K = best + eager * (eye - best)
+            for _ in range(SETTLED):
+                P = F @ ((eye - K) @ P @ (eye - K).T + K @ R @ K.T) @ F.T + Q
+            gains[j, i], covs[j, i] = K, P + R
+    return Observer(gains, covs, np.linalg.inv(np.linalg.cholesky(covs)))
+
+
+def observer(of: Robot, noise: Noise) -> Observer:
+    """The Kalman filter alone."""
+    return Observer(*(a[0] for a in observers(of, noise)))
 
 
 def innovations(of: Robot, by: Observer, state: Array, command: Array) -> Array:
@@ -141,45 +158,50 @@ def innovations(of: Robot, by: Observer, state: Array, command: Array) -> Array:
 def correct(by: Observer, x: Array, e: Array) -> None:
     """Correct an estimate [B, 12] in place by innovations [B, 12]."""
     of_position, of_velocity = e[:, POSITION], e[:, VELOCITY]
-    x[:, POSITION] += by.gain[:, 0, 0] * of_position + by.gain[:, 0, 1] * of_velocity
-    x[:, VELOCITY] += by.gain[:, 1, 0] * of_position + by.gain[:, 1, 1] * of_velocity
+    x[:, POSITION] += by.gain[..., 0, 0] * of_position + by.gain[..., 0, 1] * of_velocity
+    x[:, VELOCITY] += by.gain[..., 1, 0] * of_position + by.gain[..., 1, 1] * of_velocity
 
 
 def whitened(by: Observer, e: Array) -> Array:
     """Innovations [..., 12] in standard deviations, decorrelated [..., 6, 2]."""
     p, v, w = e[..., POSITION], e[..., VELOCITY], by.weight
-    return np.stack([w[:, 0, 0] * p, w[:, 1, 0] * p + w[:, 1, 1] * v], axis=-1)
+    return np.stack([w[..., 0, 0] * p, w[..., 1, 0] * p + w[..., 1, 1] * v], axis=-1)
 
 
-def refit(start: Robot, by: Observer, state: Array, command: Array, rounds: int = 3) -> tuple[Array, Array]:
+def refit(start: Robot, by: Observer, state: Array, command: Array, rounds: int = 4) -> tuple[Array, Array]:
     """The 24 parameters that explain the rows best, by Gauss-Newton with known noise.
 
-    state: [G, S, T, 12], G groups of S sessions fitted apart. Returns the parameters [G, 24] and their whitened
-    innovations [G, S, T - 1, 6, 2].
+    state: [G, S, T, 12], G groups of S sessions fitted apart, each with a filter of its own ([G, ...] in `by`) or all
+    with one. Returns the parameters [G, 24] and their innovations [G, S, T - 1, 12].
     """
-    groups, sessions = state.shape[:2]
-    rows = state.shape[2]
+    groups, sessions, rows = state.shape[:3]
     flat = np.tile(start.flat[:1], (groups, 1))
     step = np.concatenate([np.full(6, 1e-4), np.full(12, 1e-5), np.full(6, 1e-4)])
+    per_group = by.gain.ndim == 4
 
-    def run(flat: Array) -> Array:  # [..., G, 24] -> [..., G, residuals of a group]
-        lead = flat.shape[:-2]
-        many = np.repeat(flat.reshape(-1, PARAMETERS), sessions, axis=0)
-        copies = int(np.prod(lead, initial=1))
+    def run(flat: Array) -> Array:  # [N, G, 24] -> [N, G, S, T - 1, 12]
+        copies = len(flat)
+        many = robot(np.repeat(flat.reshape(-1, PARAMETERS), sessions, axis=0))
         tile = lambda a: np.tile(a.reshape(-1, *a.shape[2:]), (copies, 1, 1))  # noqa: E731
-        e = whitened(by, innovations(robot(many), by, tile(state), tile(command)))
-        return e.reshape(*lead, groups, sessions * (rows - 1) * 12)
+        gain = np.tile(np.repeat(by.gain, sessions, axis=0), (copies, 1, 1, 1)) if per_group else by.gain
+        e = innovations(many, by._replace(gain=gain), tile(state), tile(command))
+        return e.reshape(copies, groups, sessions, rows - 1, 12)
 
-    best = run(flat)
-    for _ in range(rounds):
-        moved = run(flat[None] + step[:, None, None] * np.eye(PARAMETERS)[:, None, :])
-        jacobian = np.swapaxes((moved - best) / step[:, None, None], 0, 1)  # [G, 24, n]
-        normal = jacobian @ np.swapaxes(jacobian, 1, 2)
+    weight = by.weight[:, None, None] if per_group else by.weight
+    flatten = lambda e: whitened(by._replace(weight=weight), e).reshape(*e.shape[:2], -1)  # noqa: E731
+    e = run(flat[None])
+    best = flatten(e)[0]
+    moved = flatten(run(flat[None] + step[:, None, None] * np.eye(PARAMETERS)[:, None, :]))
+    jacobian = np.swapaxes((moved - best) / step[:, None, None], 0, 1)  # [G, 24, n]
+    normal = jacobian @ np.swapaxes(jacobian, 1, 2)
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(PARAMETERS)
+    for _ in range(rounds):  # the rows are nearly linear in the parameters: one Jacobian serves all rounds
         slope = (jacobian @ best[..., None])[..., 0]
-        ridge = 1e-9 * np.einsum("gpp->g", normal)[:, None, None] * np.eye(PARAMETERS)
-        new = flat - np.linalg.solve(normal + ridge, slope[..., None])[..., 0]
+        new = flat - np.linalg.solve(normal, slope[..., None])[..., 0]
         new[:, :6] = np.clip(new[:, :6], 0.0, 0.98)
-        tried = run(new)
-        better = (tried**2).sum(1) < (best**2).sum(1)
-        flat, best = np.where(better[:, None], new, flat), np.where(better[:, None], tried, best)
-    return flat, best.reshape(groups, sessions, rows - 1, 6, 2)
+        tried = run(new[None])
+        white = flatten(tried)[0]
+        better = (white**2).sum(1) < (best**2).sum(1)
+        flat, best = np.where(better[:, None], new, flat), np.where(better[:, None], white, best)
+        e = np.where(better[None, :, None, None, None], tried, e)
+    return flat, e[0]

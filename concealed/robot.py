@@ -123,7 +123,7 @@ def _relax(
     cos, sin = np.cos(now.yaw), np.sin(now.yaw)
     path = np.empty((SUBSTEPS, *start.shape))
     for k in range(SUBSTEPS):
-        goal, mine = u[k], None
+        goal, mine = u[k], v
         if drives or grips:
             mine = turned_by(cos, -sin, v - offset)
         for f in drives:
@@ -138,8 +138,6 @@ def _relax(
         path[k] = v
     if part == "base":
         now.v_base = path
-    else:
-        now.v_hand = path
     for f in hooks["blend"]:
         v = f.blend(now, part, start, v)
     return v

@@ -1,4 +1,4 @@
-"""Sealed keys: a published hash that binds whoever wrote a key, and a cipher that keeps it from whoever may not read it.
+"""Sealed keys: a published hash that binds who wrote a key, and a cipher that keeps it from who may not read it.
 
 The hash is SHA-256 over a random salt and the key's text, so that no guess at a key can be checked against it. The keys
 with their salts are encrypted (Fernet: AES-128-CBC with HMAC-SHA-256) under a secret made for one suite.

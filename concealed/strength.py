@@ -1,12 +1,15 @@
 """How much the true form could gain on held-out data, in nats, and the magnitude that gains a wanted amount.
 
-The robot is run without noise, with the effect on; the plain robot's 24 parameters are refitted to that by
-Gauss-Newton under the noise of the case, and its whitened innovations are then what the true form foretells and the
-best plain robot does not. Under the known noise the true form's expected gain in log-likelihood is half their squared
-sum: the divergence between the two, with no draw of noise in it. Of all rows' gain, the share of the sessions held out
-(a quarter) is the strength.
+The robot is run without noise, with the effect on. To that the plain robot is refitted: its 24 parameters by
+Gauss-Newton, and how eagerly its filter follows what is measured. What its innovations then hold besides noise is what
+the true form foretells and the best plain robot does not. Both are Gaussian filters under the noise of the case; the
+plain one may also refit the covariance of its innovations, so that the gain of the true form is, axis by axis,
 
-    strength = 1/4 1/2 sum_t |W (y_t - y_t(best plain robot))|^2
+    gain = N/2 (log det(S(K) + D) - log det S(K*))     minimised over the filter's gain K
+
+with S(K) the innovations' covariance by noise alone, K* the Kalman gain, and D the mean square of what noise does not
+explain in N rows. It is an expectation: no draw of noise is in it. The strength is the share of it that the sessions
+held out have, a quarter.
 
 Chance that belongs to the effect (when commands are lost, where the floor is uneven) counts as known to the true form:
 an upper bound there. Noise that grows with motion moves no mean; its strength is the gain of the known variances over
@@ -42,14 +45,21 @@ class Found(NamedTuple):
 def strengths(
     of: Robot, by: Observer, noise: Noise, size: Size, forms: Sequence[Form], run: Run, magnitude: Array
 ) -> Array:
-    """Strength [M] at every magnitude [M, F]."""
-    tape, copies = run(forms, magnitude), len(magnitude)
-    split = lambda a: a.reshape(copies, size.sessions, *a.shape[1:])  # noqa: E731
-    _, white = refit(of, by, split(tape.measured), split(tape.command), rounds=1)
-    gain = 0.5 * (white**2).sum((1, 2, 3, 4))
+    """Strength [M] at every magnitude [M, F]; `by`: the filters that the plain robot may have."""
+    tape, copies, filters = run(forms, magnitude), len(magnitude), len(by.gain)
+    split = lambda a: np.repeat(a.reshape(copies, size.sessions, *a.shape[1:]), filters, axis=0)  # noqa: E731
+    each = Observer(*(np.tile(a, (copies, 1, 1, 1)) for a in by))
+    _, e = refit(of, each, split(tape.measured), split(tape.command), rounds=3)
+    pairs = np.stack([e[..., POSITION], e[..., VELOCITY]], axis=-1)
+    rows = pairs.shape[1] * pairs.shape[2]
+    unexplained = np.einsum("gstai,gstaj->gaij", pairs, pairs) / rows
+    unexplained = unexplained.reshape(copies, filters, 6, 2, 2)
+    worst = np.linalg.slogdet(by.cov + unexplained)[1].min(1)
+    gain = 0.5 * rows * (worst - np.linalg.slogdet(by.cov[0])[1]).sum(1)
     for i, form in enumerate(forms):
         if isinstance(form, Shaking):
-            gain = gain + _of_variances(form, magnitude[:, i], by, noise, split(tape.true))
+            true = tape.true.reshape(copies, size.sessions, *tape.true.shape[1:])
+            gain = gain + _of_variances(form, magnitude[:, i], by, noise, true)
     return HELD_OUT * gain
 
 
@@ -58,11 +68,10 @@ def _of_variances(form: Shaking, m: Array, by: Observer, noise: Noise, true: Arr
     total = np.zeros(len(m))
     on = [i for i, name in enumerate((*POSITION, *VELOCITY)) if _moved(form, int(name))]
     for j, mj in enumerate(m):
-        form.m = np.full(true.shape[1] * true.shape[2], mj)
-        growth = form.growth(true[j].reshape(-1, 12))
+        growth = form.growth_at(true[j].reshape(-1, 12), mj)
         for i in on:
             axis, part = i % 6, i // 6
-            variance = by.cov[axis, part, part]
+            variance = by.cov[0, axis, part, part]
             output = (POSITION, VELOCITY)[part][axis]
             rest = max(variance - noise.measured[output] ** 2, 0.0)
             each = rest + (noise.measured[output] * growth) ** 2

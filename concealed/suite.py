@@ -71,7 +71,9 @@ def recipes(config: Config, harder: bool, rng: np.random.Generator) -> list[list
     kinds.append([odds.recipe("single", (e,), s) for s in config.strengths for e in config.effects])
     kinds.append([odds.recipe("duel", (d[k],), s) for d in DUELS for k in (0, 1) for s in config.duel_strengths])
     for kind, count, many in (("pair", config.pairs, 2), ("triple", config.triples, 3)):
-        kinds.append([odds.recipe(kind, rng.choice(MIXED, many, replace=False), 100.0) for _ in range(count)])
+        kinds.append(
+            [odds.recipe(kind, [str(e) for e in rng.choice(MIXED, many, replace=False)], 100.0) for _ in range(count)]
+        )
     local = lambda i: (LOCAL[i % len(LOCAL)],)  # noqa: E731
     kinds.append([odds.recipe("regime", local(i), 100.0) for i in range(config.regimes)])
     kinds.append([odds.recipe("onset", local(i), 100.0, one_session=i % 2 == 1) for i in range(config.onsets)])

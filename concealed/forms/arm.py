@@ -60,7 +60,7 @@ class ReachEnd(Form):
     """A stretched arm: it goes no further out, whatever is commanded."""
 
     id, scale = "reach_limit", 0.9
-    channels, outputs = ("cmd_ee_vx", "cmd_ee_vy"), ("ee_vx", "ee_vy", "ee_x", "ee_y")
+    channels, outputs = ("cmd_ee_vx", "cmd_ee_vy"), ("ee_vx", "ee_vy")
     longest = 1.4
 
     def grip(self, now: Now, k: int, part: str, u: Array, before: Array, after: Array) -> Array:

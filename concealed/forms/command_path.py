@@ -306,7 +306,7 @@ class Misaligned(OnChannels):
         self._sign = rng.choice([-1.0, 1.0])
 
     def command(self, now: Now, u: Array) -> Array:
-        i, j = self.on
+        i, j = self.on[0], self.on[1]
         c, s = np.cos(self._sign * self.m), np.sin(self._sign * self.m)
         u, x, y = u.copy(), u[:, :, i], u[:, :, j]
         u[:, :, i], u[:, :, j] = c * x - s * y, s * x + c * y

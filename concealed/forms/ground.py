@@ -1,4 +1,4 @@
-"""What base and floor do to each other: friction, drag, slip, slopes, pushes, stepping, and about which point one turns."""
+"""What base and floor do to each other: friction, drag, slip, slopes, pushes, stepping; about which point one turns."""
 
 from typing import Any
 
@@ -240,5 +240,3 @@ class Gait(Form):
     def constants(self, magnitude: float) -> list[dict[str, Any]]:
         return [{"name": "amplitude", "value": magnitude, "unit": UNITS[self.axis]},
                 {"name": "frequency", "value": self.hertz, "unit": "Hz"}]  # fmt: skip
-
-

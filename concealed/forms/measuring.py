@@ -59,8 +59,12 @@ class Shaking(Form):
 
     def growth(self, x: Array) -> Array:
         """Noise over noise at rest [B]."""
+        return self.growth_at(x, self.m)
+
+    def growth_at(self, x: Array, magnitude: Array | float) -> Array:
+        """The same at a magnitude."""
         speed = np.linalg.norm(x[:, 3:5] if self.body == "base" else x[:, 9:12], axis=1)
-        return 1 + self.m * np.clip(speed / 0.5, 0.0, 1.5)
+        return 1 + magnitude * np.clip(speed / 0.5, 0.0, 1.5)
 
     def constants(self, magnitude: float) -> list[dict[str, Any]]:
         return [{"name": "ratio", "value": 1 + magnitude, "unit": "-"}]
