@@ -160,6 +160,7 @@ class ConcealParams(_Block):
     few: Share = Field(description="Of all cases: few data.")
     poor: Share = Field(description="Of all cases: poor excitation.")
     glitches: Share = Field(description="Of all cases: glitches in what is measured.")
+    real: FolderParams = Field(description="Recordings of a real Spot, for the suite of that name.")
 
 
 class ExamineParams(_Block):

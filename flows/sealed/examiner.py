@@ -15,12 +15,15 @@ from simgap.simulators.spot import Spot
 from tasks import files
 from tasks.diagnose import Folders, read
 from tasks.sealed.lock import lock
+from tasks.sealed.workspace import AFTER, BEFORE
 
 
 def examine(case: Path, out: Path, seed: int) -> None:
     """Diagnose the kinematic model on a case's recordings and write the statement."""
     simulator = Spot()
-    sessions, errors = read.fn(Folders(case), simulator)
+    after = case / AFTER
+    folders = Folders(after, baseline=case / BEFORE) if after.exists() else Folders(case)
+    sessions, errors = read.fn(folders, simulator)
     if errors:
         raise ValueError("; ".join(errors))
     found = diagnose(simulator, "spot", sessions.training, sessions.heldout, sessions.baseline, seed)

@@ -7,7 +7,7 @@ from typing import Any
 
 from flows.start import add_overrides, guarded, read_overrides
 from tasks.params import load_sealed
-from tasks.sealed.conceal import DEVELOPMENT, EXAMINATION
+from tasks.sealed.conceal import SUITES
 
 PARAMS = Path("sealed/params.yaml")
 
@@ -15,7 +15,7 @@ PARAMS = Path("sealed/params.yaml")
 def main(run: Callable[..., Any]) -> None:
     """Run a stage's flow in the project's folders, or in those of a workspace apart."""
     parser = argparse.ArgumentParser(description=run.__doc__)
-    parser.add_argument("suite", choices=[DEVELOPMENT, EXAMINATION])
+    parser.add_argument("suite", choices=SUITES)
     parser.add_argument("--workspace", type=Path, default=Path(), help="folder for recordings, keys and report")
     add_overrides(parser)
     arguments = parser.parse_args()

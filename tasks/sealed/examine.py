@@ -33,7 +33,7 @@ def chosen(manifest: dict[str, Any], params: ExamineParams) -> list[str]:
 
 def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> str:
     """Identifies what a diagnosis depends on: the recordings, the seed and the diagnosing code."""
-    recorded = files.digest(sorted((workspace.cases / case).glob("*.csv")))
+    recorded = files.digest(sorted((workspace.cases / case).rglob("*.csv")))
     return f"{code[:16]}-{recorded}-{seed}"
 
 

@@ -12,6 +12,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
+from tasks.sealed.judge import ONE
+
 RIGHT, WRONG, NEITHER, GREY = "#1f5fa8", "#bf3021", "#e0b04c", "#9aa0a8"
 _SMOOTH = 9  # rows over which a failure's excess is smoothed
 _MOST = 8.0  # variances at which its colours end
@@ -40,7 +42,7 @@ def power(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
 
 def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: int) -> None:
     """True effects against the first name told, single effects of at least so many nats."""
-    rows = [r for r in rows if r["kind"] in ("single", "duel", "regime", "onset") and r["strength"] >= least]
+    rows = [r for r in rows if r["kind"] in ONE and r["strength"] >= least]
     told = [r["told"].split("+")[0] or f"({r['verdict'].replace('_', ' ')})" for r in rows]
     truths = sorted({r["truth"] for r in rows})
     names = sorted({t for t in told if not t.startswith("(")} | set(truths)) + sorted({t for t in told if t[0] == "("})

@@ -19,8 +19,8 @@ SEEN = 3.0
 """Strength [nats] below which an effect can hardly be asked to be seen: such cases count for coverage only."""
 IMPROVES = 0.15
 """Share of the 50-step error that the true form must remove for a share of that to be measurable."""
-ONE = ("single", "duel", "regime", "onset")
-"""Kinds with one effect."""
+ONE = ("single", "duel", "regime", "onset", "engine", "real")
+"""Kinds with one effect, or one cause."""
 MANY = ("pair", "triple")
 
 
@@ -30,8 +30,9 @@ def judge(key: Key, told: Statement | None, seconds: float | None, error: str | 
     truth = [set(e["accept"]) for e in key["effects"]] if key["kind"] != "outside" else []
     effects = sorted(told["effects"], key=lambda e: -e["gain_nats"])
     row: Row = {
-        "kind": key["kind"], "truth": "+".join(e["id"] for e in key["effects"]), "strength": key["strength"],
-        "target": key["target"], "size": key["recipe"]["size"], "poor": key["recipe"]["poor"],
+        "kind": key["kind"], "truth": "+".join(e.get("cause", e["id"]) for e in key["effects"]),
+        "strength": key["strength"], "target": key["target"], "size": key["recipe"]["size"],
+        "poor": key["recipe"]["poor"],
         "noise": key["recipe"]["level"], "glitches": key["recipe"]["outliers"], "wild": key["recipe"]["wild"],
         "verdict": told["verdict"], "told": "+".join(e["id"] for e in effects),
         "probability": effects[0]["probability"] if effects else math.nan, "seconds": seconds, "error": error,
@@ -118,7 +119,9 @@ def _improvement(key: Key, told: Statement) -> Row:
 
     Improvements are relative to the refitted simulator, in the key as in the statement.
     """
-    models, errors = told["fit"]["models"], key["error_50"]
+    models, errors = told["fit"]["models"], key.get("error_50")
+    if errors is None:
+        return {}
     possible = 1 - errors["true"] / errors["refitted"]
     if key["kind"] == "null" or possible < IMPROVES or "error_50" not in models.get("refitted", {}):
         return {}

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tasks.sealed.judge import MANY, SEEN, Row
+from tasks.sealed.judge import MANY, ONE, SEEN, Row
 
 Z95 = 1.96
 DRAWS = 2000
@@ -81,6 +81,8 @@ def table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
         average("the same, black box", "-", values(rows, "share_black_box"), np.median, rng),
         share("wrong names outside the vocabulary", "at most 3 %", of("outside"), lambda r: bool(r["told"])),
         share("outside the vocabulary, told that something is there", "-", of("outside"), lambda r: r["right_verdict"]),
+        share("causes in a physics engine, named rightly", "-", of("engine"), lambda r: r["top1"]),
+        share("spikes in real recordings, named rightly", "-", of("real"), lambda r: r["top1"]),
         average("seconds per case", "30 s for 3,000 transitions", values(rows, "seconds"), np.median, rng),
         share("cases that failed", "0", rows, lambda r: r["error"] is not None),
     ]  # fmt: skip
@@ -107,7 +109,7 @@ def power(rows: Sequence[Row]) -> list[Row]:
 
 def reliability(rows: Sequence[Row]) -> list[Row]:
     """How often the first name is right, by the probability that was stated for it."""
-    named = [r for r in rows if r["kind"] in ("single", "duel", "regime", "onset") and r["named"]]
+    named = [r for r in rows if r["kind"] in ONE and r["named"]]
     found = []
     for low, high in ((0.0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 0.99), (0.99, 1.01)):
         mine = [r for r in named if low <= r["probability"] < high]

@@ -9,6 +9,7 @@ from prefect import task
 from concealed import seal, sessions
 from concealed.case import features, noise_of
 from concealed.plain import STATE, observer, refit, robot, whitened
+from concealed.strength import UNLIKE, UNSURE
 from simgap.types import SimgapError
 from tasks import files, tracking
 from tasks.params import SealedScoreParams
@@ -49,7 +50,7 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         record, key = files.read_json(workspace.record(case)), opened.keys[case]
         told = files.read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
         row = {"case": case, **judge(key, told, record["seconds"], record["error"])}
-        state, command = sessions.read(workspace.cases / case)
+        state, command = sessions.read(workspace.recordings(case))
         if key["kind"] == "regime" and told is not None:
             rules = [r["when"] for r in told["located"]["regimes"]]
             row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
@@ -91,9 +92,9 @@ def write(
 
 
 def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Any, dpi: int) -> None:
-    state, command = sessions.read(workspace.cases / row["case"])
-    of = robot(np.array(key["parameters"])[None])
-    by = observer(of, noise_of(key["recipe"]["level"]))
+    state, command = sessions.read(workspace.recordings(row["case"]))
+    of = robot(np.array(key["parameters"])[None]) if "parameters" in key else UNLIKE
+    by = observer(of, noise_of(key["recipe"]["level"]) if "parameters" in key else UNSURE)
     _, e = refit(of, by, state[None], command[None])
     white = whitened(by, e[0])
     order = np.concatenate([white[..., :3, 0], white[..., :3, 1], white[..., 3:, 0], white[..., 3:, 1]], axis=-1)

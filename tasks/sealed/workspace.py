@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+BEFORE, AFTER = "before", "after"
+"""Folders of a case whose question is what changed."""
+
 
 @dataclass(frozen=True)
 class SealedWorkspace:
@@ -19,6 +22,11 @@ class SealedWorkspace:
     def cases(self) -> Path:
         """A recording set a case."""
         return self.data / "cases"
+
+    def recordings(self, case: str) -> Path:
+        """A case's sessions; those after, where there are some from before a change."""
+        after = self.cases / case / AFTER
+        return after if after.exists() else self.cases / case
 
     @property
     def manifest(self) -> Path:
