@@ -85,8 +85,7 @@ HARDER = {
 def conceal(recipe: Recipe, seed: int) -> Case:
     """The case of a recipe; equal arguments give equal cases."""
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(7)]
-    drawn, wanted, form_rng, luck, person, noise_rng, gate_rng = streams
-    del wanted
+    drawn, _, form_rng, luck, person, noise_rng, gate_rng = streams
     sessions, rows = SIZES[recipe.size]
     of, noise = _robot(drawn, recipe.wild), noise_of(recipe.level)
     by, habits = observers(of, noise), _habits(drawn, recipe.poor)

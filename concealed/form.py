@@ -43,10 +43,8 @@ class Now:
     v_body: Array
     duration: Array
     v_base: Array
-    v_base_end: Array
     own: Array
     alpha: Array
-    body_old: Array
 
     @property
     def reach(self) -> Array:

@@ -89,7 +89,6 @@ def _row(of: Robot, now: Now, hooks: dict[str, list[Form]], process: Array) -> A
     rate = now.alpha ** (now.duration[:, None] / K)
     base = _relax(now, hooks, "base", x[:, V_BASE], u[:, :, :3], rate[:, :3], of.beta[:, :3] / (1 - now.alpha[:, :3]))
     base = base + process[:, V_BASE]
-    now.v_base_end = base
     moved = (of.beta[:, 6:9] + carried(base, lever)) / (1 - now.alpha[:, 3:])
     hand = _relax(now, hooks, "ee", x[:, V_EE], u[:, :, 3:], rate[:, 3:], moved)
     now.own = turned(-yaw, hand - moved)

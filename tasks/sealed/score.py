@@ -1,6 +1,7 @@
 """Stage `score`: what was said of every case against its key, opened here for the first time."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,8 +68,8 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
 def write(
     workspace: SealedWorkspace, opened: Opened, found: list[Row], params: SealedScoreParams, commit: str
 ) -> list[metrics.Score]:
-    """Report, figures, every case and the metrics; returns the table."""
-    folder, dpi = workspace.report, params.figure_dpi
+    """Report, figures, every case, the manifest and the metrics; returns the table."""
+    folder, dpi = _folder(workspace, opened), params.figure_dpi
     files.remove_folder(folder)
     table = metrics.table(found, np.random.default_rng(params.seed))
     failed = metrics.failures(found)
@@ -87,11 +88,16 @@ def write(
     files.write_text(folder / "report.md", text)
     columns = list(dict.fromkeys(name for row in found for name in row))
     files.write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
+    files.write_json(folder / "manifest.json", opened.manifest)
     files.write_json(workspace.metrics, {s.name: {"value": s.value, "ci95": [s.low, s.high], "n": s.n} for s in table})
     return table
 
 
-def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Any, dpi: int) -> None:
+def _folder(workspace: SealedWorkspace, opened: Opened) -> Path:
+    return workspace.report(opened.manifest["code"], opened.manifest["round"])
+
+
+def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Path, dpi: int) -> None:
     state, command = sessions.read(workspace.recordings(row["case"]))
     of = robot(np.array(key["parameters"])[None]) if "parameters" in key else UNLIKE
     by = observer(of, noise_of(key["recipe"]["level"]) if "parameters" in key else UNSURE)
@@ -113,7 +119,7 @@ def log(run: tracking.Run, workspace: SealedWorkspace, opened: Opened, table: Se
     """Scores and report of the suite, so that versions of the diagnosis are compared over time."""
     run.params({name: opened.manifest[name] for name in MANIFEST_KEYS})
     run.scores({_metric(s.name): s.value for s in table if s.n})
-    for path in sorted(workspace.report.glob("*.*")):
+    for path in sorted(_folder(workspace, opened).glob("*.*")):
         run.artifact(path)
 
 

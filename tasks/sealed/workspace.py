@@ -51,21 +51,17 @@ class SealedWorkspace:
         return self.root / "examinations" / self.suite
 
     @property
-    def reports(self) -> Path:
-        return self.root / "reports" / "sealed" / self.suite
-
-    @property
     def published(self) -> Path:
         """The manifest again, to be kept with the reports: made public before the diagnosis runs."""
-        return self.reports / "manifest.json"
-
-    @property
-    def report(self) -> Path:
-        return self.reports / "report"
+        return self.root / "reports" / "sealed" / "manifests" / f"{self.suite}.json"
 
     @property
     def metrics(self) -> Path:
-        return self.reports / "metrics.json"
+        return self.root / "reports" / "sealed" / f"{self.suite}.json"
+
+    def report(self, code: str, round_: int) -> Path:
+        """What came out for a version of the diagnosing code, in a round; the reports of others stay."""
+        return self.root / "reports" / "sealed" / self.suite / f"{code[:8]}-round-{round_}"
 
     def statement(self, case: str) -> Path:
         """What was said of a case."""

@@ -27,7 +27,7 @@ def params() -> SealedParams:
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) -> SealedWorkspace:
-    """After `conceal`, and `examine` where a case of the two is damaged."""
+    """After `conceal`."""
     workspace = SealedWorkspace(tmp_path_factory.mktemp("sealed"), "development")
     conceal.run.fn("development", params, workspace.root)
     return workspace
@@ -35,17 +35,18 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) ->
 
 @pytest.fixture(scope="module")
 def examined(workspace: SealedWorkspace, params: SealedParams) -> SealedWorkspace:
-    damaged = sorted(workspace.cases.iterdir())[0] / "a.csv"
-    whole = damaged.read_text()
-    damaged.write_text(whole.replace("cmd_ee_vz", "nothing"))
-    with pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged.parent.name}"):
-        examine.run("development", params, workspace.root)
-    other = next(c.name for c in workspace.cases.iterdir() if c != damaged.parent)
-    assert files.read_json(workspace.record(other))["error"] is None  # one case loses no other
-    damaged.write_text(whole)
-    before = workspace.record(other).stat().st_mtime_ns
-    examine.run("development", params, workspace.root)
-    assert workspace.record(other).stat().st_mtime_ns == before  # it resumes
+    """After `examine`, twice, where one of the two cases cannot be read: it fails, and loses no other."""
+    damaged, other = sorted(workspace.cases.iterdir())
+    session = damaged / "a.csv"
+    session.write_text(session.read_text().replace("cmd_ee_vz", "nothing"))
+    diagnosed = set()
+    for _ in range(2):
+        with pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged.name}.*cmd_ee_vz is missing"):
+            examine.run("development", params, workspace.root)
+        assert files.read_json(workspace.record(other.name))["error"] is None
+        diagnosed.add(workspace.record(other.name).stat().st_mtime_ns)
+    assert len(diagnosed) == 1  # it is not done again
+    session.write_text(session.read_text().replace("nothing", "cmd_ee_vz"))
     return workspace
 
 
@@ -62,16 +63,19 @@ def test_every_case_is_scored_and_the_report_is_whole(examined: SealedWorkspace,
                                                       monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
     monkeypatch.chdir(examined.root)
     score.run("development", params, examined.root)
-    text = (examined.report / "report.md").read_text()
+    manifest = files.read_json(examined.manifest)
+    report = examined.report(manifest["code"], manifest["round"])
+    text = (report / "report.md").read_text()
     assert "saturation" in text
-    assert {"power.png", "confusion.png", "reliability.png", "cases.csv", "report.md"} <= {
-        p.name for p in examined.report.iterdir()
+    assert {"manifest.json", "power.png", "confusion.png", "reliability.png", "cases.csv", "report.md"} <= {
+        p.name for p in report.iterdir()
     }
     for line in text.splitlines():
         if line.startswith("!["):
-            assert (examined.report / line.split("](")[1][:-1]).exists(), line
+            assert (report / line.split("](")[1][:-1]).exists(), line
     failed = files.read_json(examined.metrics)["cases that failed"]
-    assert (failed["value"], failed["n"]) == (0.0, 2)
+    assert (failed["value"], failed["n"]) == (0.5, 2)
+    assert "broke off: 1" in text
 
 
 def test_another_key_than_the_published_one_is_refused(examined: SealedWorkspace, params: SealedParams) -> None:
