@@ -15,6 +15,7 @@ from concealed.operator import Habits, Person
 from concealed.plain import TIME_STEP
 from concealed.strength import of_change
 
+MUJOCO: Any = mujoco  # its functions are native, and unknown to type checkers
 STEPS = 20
 """Of the engine within a row."""
 REST = np.array([0.0, -0.9, 1.7])
@@ -83,7 +84,7 @@ class Machine:
     def model(self) -> Any:
         """The engine's model."""
         values = {**self.__dict__, "step": TIME_STEP / STEPS, "lift": 1}
-        return mujoco.MjModel.from_xml_string(_MODEL.format(**values))
+        return MUJOCO.MjModel.from_xml_string(_MODEL.format(**values))
 
 
 class Cause(NamedTuple):
@@ -178,10 +179,10 @@ def record(machine: Machine, rng: np.random.Generator) -> Set:
 
 
 def _session(model: Any, machine: Machine, pushed: bool, rng: np.random.Generator) -> Set:
-    data = mujoco.MjData(model)
+    data = MUJOCO.MjData(model)
     data.qpos[2], data.qpos[3:6] = rng.uniform(-np.pi, np.pi), REST
     data.qpos[:2] = rng.uniform(-1, 1, 2)
-    mujoco.mj_forward(model, data)
+    MUJOCO.mj_forward(model, data)
     person = Person(Habits(1.0, np.ones(6)), Size(1, 1, ROWS), rng)
     start, to = rng.uniform(0.3, 0.6) * ROWS, rng.uniform(0, 2 * np.pi)
     measured, command = np.empty((ROWS, 12)), np.empty((ROWS, 6))
@@ -199,19 +200,19 @@ def _session(model: Any, machine: Machine, pushed: bool, rng: np.random.Generato
         data.ctrl[:3] = world[:3]
         for _ in range(STEPS):
             data.ctrl[3:] = _joints(model, data, world[3:])
-            mujoco.mj_step(model, data)
+            MUJOCO.mj_step(model, data)
     return Set(measured, command)
 
 
 def _state(model: Any, data: Any) -> Array:
     jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, 0)
+    MUJOCO.mj_jacSite(model, data, jacobian, None, 0)
     return np.concatenate([data.qpos[:3], data.qvel[:3], data.site_xpos[0], jacobian @ data.qvel])
 
 
 def _joints(model: Any, data: Any, hand: Array) -> Array:
     """Joint speeds that move the hand as commanded beyond the base's motion: damped least squares."""
     jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, 0)
+    MUJOCO.mj_jacSite(model, data, jacobian, None, 0)
     J = jacobian[:, 3:6]
     return np.clip(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(3), hand), -4, 4)

@@ -29,7 +29,7 @@ class OnChannels(Form):
 
     def __init__(self, rng: np.random.Generator, groups: bool = False, channels: tuple[int, ...] | None = None) -> None:
         drawn = GROUPS[rng.integers(2)] if groups else (int(rng.integers(6)),)
-        self.on = channels or drawn
+        self.on: tuple[int, ...] = channels or drawn
         self.channels = tuple(COMMAND[c] for c in self.on)
         self.outputs = outputs_of(self.on)
 

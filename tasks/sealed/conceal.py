@@ -18,8 +18,8 @@ from tasks import files
 from tasks.params import ConcealParams, FolderParams
 from tasks.sealed.workspace import AFTER, BEFORE, SealedWorkspace
 
-DEVELOPMENT, EXAMINATION, ENGINE, REAL = "development", "examination", "engine", "real"
-SUITES = (DEVELOPMENT, EXAMINATION, ENGINE, REAL)
+EXAMINATION = "examination"
+SUITES = ("development", EXAMINATION, "engine", "real")
 ROWS, PIECES = 241, 8
 """Of a real robot's recordings: rows of a piece, and pieces before and after."""
 SALT_BYTES = 16
@@ -51,9 +51,13 @@ def write(
     """Write all cases, then the keys, then the manifest, which is returned; `code`: digest of the diagnosing code."""
     seeds = np.random.SeedSequence(seed_of(workspace.suite, params, code)).spawn(4)
     draw, name_draw, salt_draw, case_draw = (np.random.default_rng(s) for s in seeds)
-    made = {ENGINE: _engine, REAL: lambda *a: _real(*a, real())}.get(workspace.suite, _suite)(
-        params, workspace.suite, draw, case_draw
-    )
+    match workspace.suite:
+        case "engine":
+            made = _engine(draw, case_draw)
+        case "real":
+            made = _real(draw, case_draw, real())
+        case name:
+            made = _suite(params, name, draw, case_draw)
     for folder in (workspace.data, workspace.keys):
         files.remove_folder(folder)
     names = suite.names(len(made), name_draw)
@@ -99,7 +103,7 @@ def _suite(params: ConcealParams, name: str, draw: np.random.Generator, case_dra
     return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
 
 
-def _engine(_: ConcealParams, __: str, draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
+def _engine(draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
     """Every cause in the physics engine, small and large, and twice nothing."""
     from concealed import engine  # brings the engine along, which no other suite needs
 
@@ -115,9 +119,8 @@ def _engine(_: ConcealParams, __: str, draw: np.random.Generator, case_draw: np.
 
 
 def _real(
-    _: ConcealParams, __: str, draw: np.random.Generator, case_draw: np.random.Generator,
-    recorded: Sequence[tuple[np.ndarray, np.ndarray]],
-) -> list[Made]:  # fmt: skip
+    draw: np.random.Generator, case_draw: np.random.Generator, recorded: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> list[Made]:
     """Every spike in recordings of a real robot, and twice nothing."""
     pieces = [(x[i : i + ROWS], u[i : i + ROWS]) for x, u in recorded for i in range(0, len(x) - ROWS + 1, ROWS)]
     if len(pieces) < 2 * PIECES:
