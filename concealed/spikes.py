@@ -93,6 +93,8 @@ def _scaled_sensor(scale: float, on: int) -> Callable[[Array, Array], Pair]:
 
 
 BASE, HAND = slice(0, 3), slice(3, 6)
+LATEST = 2
+"""Rows that the latest commands cost a session."""
 
 
 def _constant(name: str, value: float, unit: str) -> list[dict[str, Any]]:
@@ -132,7 +134,8 @@ def conceal(name: str | None, before: list[Pair], after: list[Pair]) -> tuple[li
         effects = [{"id": spike.accept[0], "accept": list(spike.accept), "why": spike.why, "cause": name,
                     "channels": [], "outputs": [], "constants": spike.constants}]  # fmt: skip
         after = [spike.apply(*pair) for pair in after]
-    rows = min(len(x) for x, _ in after)
+    # Of one length whatever was done to them.
+    rows = min(len(x) for x, _ in before) - LATEST
     after = [(x[:rows], u[:rows]) for x, u in after]
     stack = lambda pairs: (np.stack([x for x, _ in pairs]), np.stack([u for _, u in pairs]))  # noqa: E731
     key = {

@@ -20,7 +20,7 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     """Diagnose what is not diagnosed yet; cases that failed are told at the end and lose no other."""
     workspace, wanted = SealedWorkspace(root, suite), params.examine
     manifest = files.read_json(workspace.manifest)
-    code = fingerprint.code_digest(fingerprint.WHOLE_DIAGNOSIS)
+    code = fingerprint.diagnosing_code()
     cases = examine.chosen(manifest, wanted)
     marks = {case: examine.fingerprint(workspace, case, wanted.seed, code) for case in manifest["keys"]}
     examine.remove_stale(workspace, marks)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.start import add_overrides, guarded, read_overrides
+from tasks import fingerprint
 from tasks.params import load_sealed
 from tasks.sealed.conceal import SUITES
 
@@ -19,4 +20,5 @@ def main(run: Callable[..., Any]) -> None:
     parser.add_argument("--workspace", type=Path, default=Path(), help="folder for recordings, keys and report")
     add_overrides(parser)
     arguments = parser.parse_args()
+    fingerprint.diagnosing_code()
     guarded(lambda: run(arguments.suite, load_sealed(PARAMS, *read_overrides(arguments)), arguments.workspace))

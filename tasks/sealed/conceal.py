@@ -28,7 +28,7 @@ SALT_BYTES = 16
 def seed_of(suite_name: str, params: ConcealParams, code: str) -> list[int]:
     """What all that is drawn comes from: a seed to work with, or the hash of the diagnosing code and the round."""
     if suite_name != EXAMINATION:
-        return [0, params.seed]
+        return [SUITES.index(suite_name), params.seed]
     mark = hashlib.sha256(f"{code} round {params.round}".encode()).hexdigest()
     return [1, *(int(mark[i : i + 8], 16) for i in range(0, 64, 8))]
 

@@ -81,7 +81,7 @@ def test_spikes_are_what_the_key_says() -> None:
     np.testing.assert_allclose(sunk, (x - down)[1:, 11], atol=1e-9)
     for name, spike in spikes.SPIKES.items():
         after, key = spikes.conceal(name, pairs, [(x.copy(), u.copy()) for x, u in pairs])
-        assert len({len(x) for x, _ in after}) == 1
+        assert {len(x) for x, _ in after} == {len(x) - spikes.LATEST}  # the length does not tell
         assert key["kind"] == "real"
         assert key["effects"][0]["accept"] == list(spike.accept)
         assert key["strength"] > 1, name
