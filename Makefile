@@ -21,6 +21,7 @@ setup: .venv/.installed
 run: setup  ## the main job in a small size; SOURCE=spot RECORDINGS=folder for recordings of one's own
 	$(BIN)/python -m flows.reproduce $(SOURCE) --overrides small.yaml --workspace sweeps/small \
 		$(if $(RECORDINGS),--recordings $(RECORDINGS))
+	$(BIN)/python -m flows.sealed.prove development --overrides sealed/small.yaml --workspace sweeps/small
 
 test: setup lint  ## checks and tests
 	$(BIN)/python -m pytest

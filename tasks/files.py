@@ -516,6 +516,21 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_bytes(path: Path, content: bytes, private: bool = False) -> None:
+    """Bytes as they are; `private`: for the owner's eyes alone."""
+    with _replacing(path) as temporary:
+        temporary.touch(0o600 if private else 0o644)
+        temporary.write_bytes(content)
+
+
+def read_bytes(path: Path) -> bytes:
+    """A file's bytes; SimgapError where there is none."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise SimgapError(_missing(path)) from None
+
+
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as CSV, floats with 6 significant digits; a key that a row has not is left blank there."""
     header = list(dict.fromkeys(key for row in rows for key in row))

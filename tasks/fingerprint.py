@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +19,8 @@ AUGMENTED = (*TRAINING, "simgap.simulators.augmented")
 """The same for models that are given a diagnosed simulator."""
 DIAGNOSIS = ("simgap.diagnosis.explain",)
 """Where the code that finds effects begins."""
+WHOLE_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.simulators.spot")
+"""Where the code that an examination examines begins."""
 POLICY = ("simgap.policies.learn", "simgap.policies.environment", "simgap.policies.actor")
 """Where the code that learns a policy begins."""
 
@@ -88,6 +91,13 @@ def relevant_params(cell: Cell, params: TrainParams) -> dict[str, Any]:
         return asdict(params.sim_model)
     prior = params.fsvgd if cell.method == "fsvgd" else params.sim_fsvgd
     return {**asdict(params.bnn), "prior": asdict(prior)}
+
+
+@cache
+def diagnosing_code() -> str:
+    """Digest of all the code that an examination examines, made once a process: call it before a flow begins, whose
+    threads the parser of Python 3.11 does not bear."""
+    return code_digest(WHOLE_DIAGNOSIS)
 
 
 def modules_of(roots: Sequence[str]) -> list[Path]:

@@ -1,9 +1,9 @@
 """params.yaml, read once into typed, frozen configurations; an unknown, missing or impossible key is named."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -16,6 +16,9 @@ ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "s
 NoiseName = Literal["gaussian", "student_t"]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
+Many = Annotated[int, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 def _known_keys(config: type) -> Callable[[Any], Any]:
@@ -139,6 +142,48 @@ class Params(_Block):
         return self.recordings[name]
 
 
+class ConcealParams(_Block):
+    """What a suite holds; counts of cases, strengths in nats."""
+
+    seed: Many = Field(description="Seed of the development suite; an examination's comes from the diagnosing code.")
+    round: Many = Field(description="Which examination of the same code.")
+    nulls: Many
+    effects: list[str] = Field(description="Ids of single effects; empty: all there are.")
+    strengths: list[Positive] = Field(description="A case of every effect at each.")
+    duel_strengths: list[Positive]
+    pairs: Many
+    triples: Many
+    regimes: Many = Field(description="Effects that act in a regime only.")
+    onsets: Many = Field(description="Effects that act from a time on only.")
+    outside_strengths: list[Positive] = Field(description="A case of every law outside the vocabulary at each.")
+    parts: Count = Field(description="Stratified samples that the suite is dealt out into.")
+    few: Share = Field(description="Of all cases: few data.")
+    poor: Share = Field(description="Of all cases: poor excitation.")
+    glitches: Share = Field(description="Of all cases: glitches in what is measured.")
+    real: FolderParams = Field(description="Recordings of a real Spot, for the suite of that name.")
+
+
+class ExamineParams(_Block):
+    parts: list[Many] = Field(description="Parts of the suite to be diagnosed; empty: all.")
+    workers: Count = Field(description="Processes that diagnose.")
+    seed: Many = Field(description="Seed of what the diagnosis draws.")
+    patience_s: Positive = Field(description="Time after which a diagnosis is given up [s].")
+
+
+class SealedScoreParams(_Block):
+    seed: Many = Field(description="Seed of bootstrap intervals.")
+    figure_dpi: Count
+    pictures: Many = Field(description="Failures that are drawn.")
+
+
+class SealedParams(_Block):
+    """The whole of sealed/params.yaml."""
+
+    conceal: ConcealParams
+    examine: ExamineParams
+    score: SealedScoreParams
+
+
 def _merge(base: Any, overrides: Any) -> Any:
     if not (isinstance(base, dict) and isinstance(overrides, dict)):
         return overrides
@@ -156,11 +201,20 @@ def read_yaml(path: Path) -> Any:
 
 def load_params(path: Path, *overrides: Mapping[str, Any]) -> Params:
     """`path` with `overrides` merged in, block by block; ConfigError names every key that is wrong."""
+    return _load(path, Params, overrides)
+
+
+def load_sealed(path: Path, *overrides: Mapping[str, Any]) -> SealedParams:
+    """The same of the sealed suites' file."""
+    return _load(path, SealedParams, overrides)
+
+
+def _load(path: Path, model: type[_Model], overrides: Sequence[Mapping[str, Any]]) -> _Model:
     values = read_yaml(path)
     for override in overrides:
         values = _merge(values, dict(override))
     try:
-        return Params.model_validate(values)
+        return model.model_validate(values)
     except ValidationError as error:
         lines = [f"  {'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()]
         raise ConfigError(f"{path}: {len(lines)} values are wrong:\n" + "\n".join(lines)) from None

@@ -12,7 +12,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("simgap", "tasks", "flows")
 DOORS = {
     "mlflow": {"tasks/tracking.py"},
-    "matplotlib": {"tasks/plots.py", "tasks/check_plots.py", "tasks/diagnosis_plots.py", "tasks/tracking_plots.py"},
+    "matplotlib": {"tasks/plots.py", "tasks/check_plots.py", "tasks/diagnosis_plots.py", "tasks/tracking_plots.py",
+                   "tasks/sealed/figures.py"},
     "yaml": {"tasks/params.py", "flows/provenance.py"},
     "mcap": {"tasks/bags.py"},
     "rosbags": {"tasks/bags.py"},
@@ -62,6 +63,34 @@ def test_a_stage_has_one_name_everywhere() -> None:
     for stage in stages:
         assert (ROOT / "flows" / f"{stage}.py").exists()
         assert (ROOT / "tasks" / f"{stage}.py").exists()
+
+
+def test_a_sealed_stage_has_one_name_everywhere() -> None:
+    stages = stage_names(ROOT / "sealed" / "dvc.yaml")
+    assert stages == ["conceal", "examine", "score"]
+    assert list(yaml.safe_load((ROOT / "sealed" / "params.yaml").read_text())) == stages
+    for stage in stages:
+        assert (ROOT / "flows" / "sealed" / f"{stage}.py").exists()
+        assert (ROOT / "tasks" / "sealed" / f"{stage}.py").exists()
+
+
+def test_no_stage_before_the_score_depends_on_a_key() -> None:
+    stages = yaml.safe_load((ROOT / "sealed" / "dvc.yaml").read_text())["stages"]
+    keys = "keys/${suite}"
+    assert keys in [next(iter(o)) if isinstance(o, dict) else o for o in stages["conceal"]["outs"]]
+    assert keys not in stages["examine"]["deps"]
+    assert keys in stages["score"]["deps"]
+
+
+def test_what_diagnoses_sealed_recordings_does_not_come_to_import_what_conceals() -> None:
+    files, known = reached(["flows/sealed/examiner.py"])
+    assert ROOT / "simgap/diagnosis/diagnose.py" in files
+    assert not {name for name in known if name.split(".")[0] == "concealed"}
+
+
+def test_what_conceals_imports_nothing_of_the_project() -> None:
+    _, known = reached(["concealed"])
+    assert not {name for name in known if name.split(".")[0] in PACKAGES}
 
 
 def test_both_pipelines_are_the_same_but_for_the_source() -> None:

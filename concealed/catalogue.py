@@ -1,0 +1,73 @@
+"""All concealed forms by the id they are told by, and those that no id tells."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from concealed.form import Form
+from concealed.forms import arm, command_path, ground, measuring, outside
+
+Make = Callable[[np.random.Generator], Form]
+
+
+def _plain(form: type[Form]) -> Make:
+    return lambda _: form()
+
+
+FORMS: dict[str, tuple[Make, ...]] = {
+    "delay": (command_path.Delay,),
+    "lag": (command_path.Lag,),
+    "rate_limit": (command_path.RateLimit,),
+    "saturation": (command_path.Saturation,),
+    "deadband": (command_path.Deadband,),
+    "backlash": (command_path.Backlash,),
+    "quantization": (command_path.Quantization,),
+    "gain": (command_path.Gain,),
+    "asymmetric_gain": (command_path.AsymmetricGain,),
+    "gain_drift": (command_path.GainDrift,),
+    "dropout": (command_path.Dropout,),
+    "coulomb_friction": (ground.StickSlip,),
+    "viscous_drag": (ground.Viscous,),
+    "quadratic_drag": (ground.Quadratic,),
+    "gravity_sag": (_plain(arm.Sag),),
+    "payload": (arm.Payload,),
+    "arm_base_coupling": (_plain(arm.Reaction),),
+    "base_arm_coupling": (_plain(arm.Dragged),),
+    "cross_axis_coupling": (command_path.CrossAxis,),
+    "rotation_centre": (ground.OffCentre,),
+    "centripetal": (_plain(arm.Thrown),),
+    "slip": (_plain(ground.Slip),),
+    "slope": (ground.Slope,),
+    "body_frame_bias": (ground.Crab,),
+    "external_push": (ground.Push,),
+    "reach_limit": (_plain(arm.ReachEnd),),
+    "ground_contact": (arm.Floor,),
+    "gait_oscillation": (ground.Gait,),
+    "relative_smoothing": (_plain(arm.OwnMemory), _plain(arm.BodyMemory)),
+    "frame_misalignment": (command_path.Misaligned,),
+    "sampling_interval": (_plain(measuring.Stalls),),
+    "integration_rule": (_plain(measuring.OldVelocity),),
+    "motion_dependent_noise": (measuring.Shaking,),
+    "sensor_delay": (measuring.LateSensor,),
+    "sensor_bias": (measuring.Drifting, measuring.TurnedCompass),
+    "sensor_scale": (measuring.Scaled,),
+}
+"""Every id of the vocabulary, in its physical forms."""
+
+OUTSIDE: dict[str, Make] = {
+    "magnet": outside.Attracted,
+    "lift_turns_base": _plain(outside.LiftTurns),
+    "corrugated_floor": outside.Corrugated,
+    "wind_up": _plain(outside.WindUp),
+    "elastic_arm": outside.Elastic,
+    "carpet_grain": outside.Carpet,
+    "top_heavy": _plain(outside.TopHeavy),
+    "gusts": _plain(outside.Gusts),
+    "ratchet": _plain(outside.Ratchet),
+}
+
+
+def make(name: str, rng: np.random.Generator) -> Form:
+    """A form of an id, or of a law without one, drawn with all that is fixed of it."""
+    kinds = FORMS[name] if name in FORMS else (OUTSIDE[name],)
+    return kinds[int(rng.integers(len(kinds)))](rng)

@@ -1,0 +1,1 @@
+"""Stages of the sealed suites; see sealed/dvc.yaml."""

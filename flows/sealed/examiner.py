@@ -1,0 +1,49 @@
+"""A process that diagnoses sealed recordings: locked away from the keys before it reads its first case.
+
+`python -m flows.sealed.examiner KEYS` reads a line `{"case", "out", "seed"}` a case and answers `{"seconds", "error"}`.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import flows  # noqa: F401  # settles the environment before JAX is imported
+from simgap.diagnosis.diagnose import diagnose
+from simgap.simulators.spot import Spot
+from tasks import files
+from tasks.diagnose import Folders, read
+from tasks.sealed.lock import lock
+from tasks.sealed.workspace import AFTER, BEFORE
+
+
+def examine(case: Path, out: Path, seed: int) -> None:
+    """Diagnose the kinematic model on a case's recordings and write the statement."""
+    simulator = Spot()
+    after = case / AFTER
+    folders = Folders(after, baseline=case / BEFORE) if after.exists() else Folders(case)
+    sessions, errors = read.fn(folders, simulator)
+    if errors:
+        raise ValueError("; ".join(errors))
+    found = diagnose(simulator, "spot", sessions.training, sessions.heldout, sessions.baseline, seed)
+    files.write_json(out, found.statement)
+
+
+def _answer(line: str) -> dict[str, Any]:
+    asked, start = json.loads(line), time.perf_counter()
+    try:
+        examine(Path(asked["case"]), Path(asked["out"]), asked["seed"])
+    except Exception as error:  # whatever it is, the next case shall be diagnosed
+        return {"error": f"{type(error).__name__}: {error}", "seconds": time.perf_counter() - start}
+    return {"error": None, "seconds": time.perf_counter() - start}
+
+
+def _main() -> None:
+    lock(Path(sys.argv[1]))
+    for line in sys.stdin:
+        print(json.dumps(_answer(line)), flush=True)
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,21 @@
+"""All three sealed stages in order, outside DVC: in a small size (`make run`), or in a workspace of its own."""
+
+from pathlib import Path
+
+from prefect import flow
+
+from flows.sealed import conceal, examine, score
+from flows.sealed.start import main
+from tasks.params import SealedParams
+
+
+@flow(name="prove", flow_run_name="prove-{suite}")
+def run(suite: str, params: SealedParams, root: Path) -> None:
+    """Conceal, examine and score a suite."""
+    conceal.run(suite, params, root)
+    examine.run(suite, params, root)
+    score.run(suite, params, root)
+
+
+if __name__ == "__main__":
+    main(run)

@@ -1,0 +1,24 @@
+"""How a sealed stage is started from the command line: `python -m flows.sealed.<stage> SUITE`."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from flows.start import add_overrides, guarded, read_overrides
+from tasks import fingerprint
+from tasks.params import load_sealed
+from tasks.sealed.conceal import SUITES
+
+PARAMS = Path("sealed/params.yaml")
+
+
+def main(run: Callable[..., Any]) -> None:
+    """Run a stage's flow in the project's folders, or in those of a workspace apart."""
+    parser = argparse.ArgumentParser(description=run.__doc__)
+    parser.add_argument("suite", choices=SUITES)
+    parser.add_argument("--workspace", type=Path, default=Path(), help="folder for recordings, keys and report")
+    add_overrides(parser)
+    arguments = parser.parse_args()
+    fingerprint.diagnosing_code()
+    guarded(lambda: run(arguments.suite, load_sealed(PARAMS, *read_overrides(arguments)), arguments.workspace))

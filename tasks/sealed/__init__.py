@@ -1,0 +1,1 @@
+"""Tasks of the sealed suites: recordings with concealed effects, their diagnosis, and the score."""

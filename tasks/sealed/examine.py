@@ -1,0 +1,112 @@
+"""Stage `examine`: every case diagnosed by a process that cannot open a key; resumable case by case."""
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, suppress
+from pathlib import Path
+from typing import Any
+
+from prefect import task
+
+from simgap.types import Report, SimgapError
+from tasks import files
+from tasks.params import ExamineParams
+from tasks.sealed.workspace import SealedWorkspace
+
+Job = Callable[[str, int], AbstractContextManager[Report]]
+EXAMINER = "flows.sealed.examiner"
+"""The module that diagnoses: reads `{"case", "out", "seed"}` a line, answers a line."""
+
+
+def chosen(manifest: dict[str, Any], params: ExamineParams) -> list[str]:
+    """Names of the cases in the parts that are asked for."""
+    parts: Sequence[Sequence[str]] = manifest["parts"]
+    unknown = [p for p in params.parts if p >= len(parts)]
+    if unknown:
+        raise SimgapError(f"examine.parts: the suite has the parts 0 to {len(parts) - 1}, not {unknown}.")
+    return [name for p in params.parts or range(len(parts)) for name in parts[p]]
+
+
+def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> str:
+    """Identifies what a diagnosis depends on: the recordings, the seed and the diagnosing code."""
+    recorded = files.digest(sorted((workspace.cases / case).rglob("*.csv")))
+    return f"{code[:16]}-{recorded}-{seed}"
+
+
+def finished(workspace: SealedWorkspace, case: str, mark: str) -> bool:
+    """Whether the case was diagnosed with the same code; one that failed is tried again."""
+    path = workspace.record(case)
+    record = files.read_json(path) if path.exists() else {}
+    return record.get("fingerprint") == mark and record.get("error") is None and workspace.statement(case).exists()
+
+
+class Examiner:
+    """A process that diagnoses one case after the other, so that what it compiles serves all of them."""
+
+    def __init__(self, keys: Path, patience_s: float) -> None:
+        self._keys, self._patience = keys, patience_s
+        self._process: subprocess.Popen[str] | None = None
+
+    def diagnose(self, case: Path, out: Path, seed: int) -> dict[str, Any]:
+        """Seconds, or why it failed: a case that kills its process, or takes too long, loses no other."""
+        process = self._process = self._process if self._process and self._process.poll() is None else self._start()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        late = threading.Timer(self._patience, process.kill)
+        late.start()
+        try:
+            process.stdin.write(json.dumps({"case": str(case), "out": str(out), "seed": seed}) + "\n")
+            process.stdin.flush()
+            # Libraries may write lines of their own.
+            answer = next((line for line in process.stdout if line.startswith("{")), "")
+        except OSError as error:
+            answer = json.dumps({"error": f"the process ended: {error}"})
+        finally:
+            late.cancel()
+        if not answer:
+            status = process.wait()
+            return {"error": f"the process ended with status {status}, or took more than {self._patience:.0f} s"}
+        return json.loads(answer)
+
+    def _start(self) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", EXAMINER, str(self._keys)]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def close(self) -> None:
+        if self._process is not None:
+            with suppress(OSError):
+                assert self._process.stdin is not None
+                self._process.stdin.close()
+            self._process.wait()
+
+
+@task(task_run_name="examine-{case}")
+def examine_case(
+    workspace: SealedWorkspace, case: str, idle: queue.Queue[Examiner], marks: dict[str, str], seed: int, job: Job
+) -> str | None:
+    """Diagnose one case with the next idle process and keep a record of it; returns why it failed, if it did."""
+    files.remove_folder(workspace.examinations / case)
+    examiner = idle.get()
+    try:
+        with job(case, 1):
+            answer = examiner.diagnose(workspace.cases / case, workspace.statement(case), seed)
+    finally:
+        idle.put(examiner)
+    error = answer.get("error")
+    record = {"fingerprint": marks[case], "seconds": answer.get("seconds"), "error": error}
+    files.write_json(workspace.record(case), record)
+    return error
+
+
+def remove_stale(workspace: SealedWorkspace, marks: dict[str, str]) -> None:
+    """Forget cases that the suite does not have, or had with other recordings or other code."""
+    if workspace.examinations.exists():
+        for folder in workspace.examinations.iterdir():
+            record = workspace.record(folder.name)
+            known = files.read_json(record).get("fingerprint") if record.exists() else None
+            if folder.is_dir() and (known is None or known != marks.get(folder.name)):
+                files.remove_folder(folder)

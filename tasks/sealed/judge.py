@@ -1,0 +1,151 @@
+"""What was said of one case against its key."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+Key = Mapping[str, Any]
+Statement = Mapping[str, Any]
+Row = dict[str, Any]
+
+TIME_STEP = 1 / 15
+SURE = 0.95
+"""Probability from which on an answer is a confident one."""
+SEEN = 3.0
+"""Strength [nats] below which an effect can hardly be asked to be seen: such cases count for coverage only."""
+IMPROVES = 0.15
+"""Share of the 50-step error that the true form must remove for a share of that to be measurable."""
+ONE = ("single", "duel", "regime", "onset", "engine", "real")
+"""Kinds with one effect, or one cause."""
+MANY = ("pair", "triple")
+
+
+def judge(key: Key, told: Statement | None, seconds: float | None, error: str | None) -> Row:
+    """One row of the score. Of a case that failed nothing is known but that; it counts as nothing said."""
+    told = told or {"verdict": "failed", "effects": [], "fit": {"models": {}}, "located": {}}
+    truth = [set(e["accept"]) for e in key["effects"]] if key["kind"] != "outside" else []
+    effects = sorted(told["effects"], key=lambda e: -e["gain_nats"])
+    row: Row = {
+        "kind": key["kind"], "truth": "+".join(e.get("cause", e["id"]) for e in key["effects"]),
+        "strength": key["strength"], "target": key["target"], "size": key["recipe"]["size"],
+        "poor": key["recipe"]["poor"],
+        "noise": key["recipe"]["level"], "glitches": key["recipe"]["outliers"], "wild": key["recipe"]["wild"],
+        "verdict": told["verdict"], "told": "+".join(e["id"] for e in effects),
+        "probability": effects[0]["probability"] if effects else math.nan, "seconds": seconds, "error": error,
+        "right_verdict": told["verdict"] in key["verdicts"],
+        "confident_wrong": any(_confident_wrong(e, truth) for e in effects),
+        "extra": sum(not any(e["id"] in t for t in truth) for e in effects),
+    }  # fmt: skip
+    row |= _improvement(key, told)
+    if key["kind"] in ONE:
+        row |= _of_one(key, effects, truth[0])
+    if key["kind"] in MANY:
+        row["set_f1"] = set_f1(truth, [e["id"] for e in effects])
+    return row
+
+
+def set_f1(truth: Sequence[set[str]], told: Sequence[str]) -> float:
+    """F1 of a set of names, each effect to be named once."""
+    left, hits = list(truth), 0
+    for name in told:
+        hit = next((t for t in left if name in t), None)
+        if hit is not None:
+            left.remove(hit)
+            hits += 1
+    return 2 * hits / (len(truth) + len(told)) if truth or told else 1.0
+
+
+def _confident_wrong(effect: Mapping[str, Any], truth: Sequence[set[str]]) -> bool:
+    """A name with hardly a doubt, where neither it nor what might stand in its place is true."""
+    named = {effect["id"], *effect["credible_set"]}
+    return effect["probability"] >= SURE and not any(named & t for t in truth)
+
+
+def _of_one(key: Key, effects: Sequence[Mapping[str, Any]], right: set[str]) -> Row:
+    first = effects[0] if effects else None
+    row: Row = {
+        "named": first is not None, "top1": first is not None and first["id"] in right,
+        "exact": len(effects) == 1 and effects[0]["id"] in right,
+        "covered": any(set(e["credible_set"]) & right for e in effects) if effects else math.nan,
+        "set_size": len(first["credible_set"]) if first else math.nan,
+    }  # fmt: skip
+    found = next((e for e in effects if e["id"] in right), None)
+    true = key["effects"][0]
+    if found is not None:
+        row["outputs_f1"] = _f1(set(true["outputs"]), set(found["outputs"])) if true["outputs"] else math.nan
+        row |= constants(true["constants"], found["constants"]) if found["id"] == true["id"] else {}
+        onset = onset_of(key)
+        if onset is not None:
+            said = found.get("from_s")
+            said = next((c["value"] for c in found["constants"] if c["name"] in ("from", "onset")), said)
+            row["onset_error"] = abs(said - onset) / TIME_STEP if said is not None else math.inf
+    return row
+
+
+def onset_of(key: Key) -> float | None:
+    """When the effect begins [s], if it does not act throughout."""
+    when = key["when"] or {}
+    if "from_s" in when:
+        return when["from_s"]
+    return next((c["value"] for c in key["effects"][0]["constants"] if c["name"] in ("from", "onset")), None)
+
+
+def constants(true: Sequence[Mapping[str, Any]], told: Sequence[Mapping[str, Any]]) -> Row:
+    """Relative error of the first constant that both name or that has the same unit, and whether its interval holds.
+
+    Signs are a matter of convention between the two; sizes are compared.
+    """
+    for t in true:
+        same = [c for c in told if c["name"] == t["name"]] or [c for c in told if c["unit"] == t["unit"]]
+        if not same or t["name"] in ("from", "to", "onset") or not t["value"]:
+            continue
+        low, high = same[0]["ci95"]
+        value = abs(t["value"])
+        return {"constant_error": abs(abs(same[0]["value"]) - value) / value,
+                "constant_held": low <= value <= high or low <= -value <= high}  # fmt: skip
+    return {}
+
+
+def _f1(truth: set[str], told: set[str]) -> float:
+    return 2 * len(truth & told) / (len(truth) + len(told)) if truth or told else 1.0
+
+
+def _improvement(key: Key, told: Statement) -> Row:
+    """Share of the true form's improvement after 50 steps on held-out sessions, of named physics and of a black box.
+
+    Improvements are relative to the refitted simulator, in the key as in the statement.
+    """
+    models, errors = told["fit"]["models"], key.get("error_50")
+    if errors is None:
+        return {}
+    possible = 1 - errors["true"] / errors["refitted"]
+    if key["kind"] == "null" or possible < IMPROVES or "error_50" not in models.get("refitted", {}):
+        return {}
+    refitted = models["refitted"]["error_50"]["value"]
+    made = lambda model: 1 - models[model]["error_50"]["value"] / refitted if model in models else 0.0  # noqa: E731
+    return {"share": made("augmented") / possible, "share_black_box": made("black_box") / possible}
+
+
+RULE = re.compile(r"^(.*) ([<>]) (-?[0-9.e+-]+)( \S+)?$")
+
+
+def rows_of(rule: str, features: Mapping[str, Float[np.ndarray, "..."]]) -> Float[np.ndarray, "..."] | None:
+    """Where a rule such as `reach > 0.9 m` holds; None where it is said in another quantity than is known here."""
+    match = RULE.match(rule)
+    if match is None or match[1] not in features:
+        return None
+    values, edge = features[match[1]], float(match[3])
+    return values > edge if match[2] == ">" else values < edge
+
+
+def overlap(truth: str, told: Sequence[str], features: Mapping[str, Float[np.ndarray, "..."]]) -> float:
+    """Rows that both the true regime and the first one told hold, of those that either does."""
+    a = rows_of(truth, features)
+    b = rows_of(told[0], features) if told else None
+    if a is None or b is None:
+        return 0.0
+    return float((a & b).sum() / max((a | b).sum(), 1))

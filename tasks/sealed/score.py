@@ -1,0 +1,128 @@
+"""Stage `score`: what was said of every case against its key, opened here for the first time."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from prefect import task
+
+from concealed import seal, sessions
+from concealed.case import features, noise_of
+from concealed.plain import STATE, observer, refit, robot, whitened
+from concealed.strength import UNLIKE, UNSURE
+from simgap.types import SimgapError
+from tasks import files, tracking
+from tasks.params import SealedScoreParams
+from tasks.sealed import baselines, figures, metrics, report
+from tasks.sealed.judge import Row, judge, overlap, rows_of
+from tasks.sealed.workspace import SealedWorkspace
+
+MANIFEST_KEYS = ("suite", "round", "code")
+
+
+class Opened(NamedTuple):
+    """The manifest and the keys of a suite, checked against the hashes that were published before."""
+
+    manifest: dict[str, Any]
+    keys: dict[str, dict[str, Any]]
+
+
+@task(task_run_name="open-{workspace.suite}")
+def open_keys(workspace: SealedWorkspace) -> Opened:
+    """The keys; SimgapError where they are not those whose hashes were published."""
+    manifest = files.read_json(workspace.manifest)
+    if files.read_json(workspace.published) != manifest:
+        raise SimgapError(f"{workspace.published}: must be the manifest of the recordings, {workspace.manifest}.")
+    try:
+        keys = seal.unseal(files.read_bytes(workspace.sealed), files.read_bytes(workspace.secret), manifest["keys"])
+    except seal.BrokenSealError as error:
+        raise SimgapError(f"{workspace.sealed}: {error}") from None
+    return Opened(manifest, keys)
+
+
+@task(task_run_name="judge-{workspace.suite}")
+def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict[str, float]], None]) -> list[Row]:
+    """A row for every case that was examined."""
+    found = []
+    for case in sorted(opened.keys):
+        if not workspace.record(case).exists():
+            continue
+        record, key = files.read_json(workspace.record(case)), opened.keys[case]
+        told = files.read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
+        row = {"case": case, **judge(key, told, record["seconds"], record["error"])}
+        state, command = sessions.read(workspace.recordings(case))
+        if key["kind"] == "regime" and told is not None:
+            rules = [r["when"] for r in told["located"]["regimes"]]
+            row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
+        row["fault"] = metrics.fault(row)
+        row |= baselines.sparse(state, command, key)
+        found.append(row)
+        report(len(found), {})
+    if not found:
+        raise SimgapError(f"{workspace.examinations}: no case was examined. Run the stage `examine`.")
+    return found
+
+
+@task(task_run_name="report-{workspace.suite}")
+def write(
+    workspace: SealedWorkspace, opened: Opened, found: list[Row], params: SealedScoreParams, commit: str
+) -> list[metrics.Score]:
+    """Report, figures, every case, the manifest and the metrics; returns the table."""
+    folder, dpi = _folder(workspace, opened), params.figure_dpi
+    files.remove_folder(folder)
+    table = metrics.table(found, np.random.default_rng(params.seed))
+    failed = metrics.failures(found)
+    figures.power(folder / "power.png", metrics.power(found), dpi)
+    figures.confusion(folder / "confusion.png", found, 6.0, dpi)
+    figures.reliability(folder / "reliability.png", metrics.reliability(found), dpi)
+    pictures = {}
+    for row in failed[: params.pictures]:
+        pictures[row["case"]] = f"failures/{row['case']}.png"
+        _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
+    about = {
+        "suite": workspace.suite, "diagnosing code": opened.manifest["code"], "round": opened.manifest["round"],
+        "commit": commit or "unknown", "cases": f"{len(found)} of {len(opened.keys)}",
+    }  # fmt: skip
+    text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
+    files.write_text(folder / "report.md", text)
+    columns = list(dict.fromkeys(name for row in found for name in row))
+    files.write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
+    files.write_json(folder / "manifest.json", opened.manifest)
+    files.write_json(workspace.metrics, {s.name: {"value": s.value, "ci95": [s.low, s.high], "n": s.n} for s in table})
+    return table
+
+
+def _folder(workspace: SealedWorkspace, opened: Opened) -> Path:
+    return workspace.report(opened.manifest["code"], opened.manifest["round"])
+
+
+def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Path, dpi: int) -> None:
+    state, command = sessions.read(workspace.recordings(row["case"]))
+    of = robot(np.array(key["parameters"])[None]) if "parameters" in key else UNLIKE
+    by = observer(of, noise_of(key["recipe"]["level"]) if "parameters" in key else UNSURE)
+    _, e = refit(of, by, state[None], command[None])
+    white = whitened(by, e[0])
+    order = np.concatenate([white[..., :3, 0], white[..., :3, 1], white[..., 3:, 0], white[..., 3:, 1]], axis=-1)
+    when, where = key["when"] or {}, None
+    if "regime" in when:
+        where = rows_of(when["regime"], features(state, command))
+    truth = row["truth"] or "nothing"
+    said = row["told"] or row["verdict"].replace("_", " ")
+    probability = "" if np.isnan(row["probability"]) else f" ({row['probability']:.2f})"
+    title = f"{row['case']}: {row['fault']}. Truth: {truth}, {row['strength']:.0f} nats. Told: {said}{probability}"
+    figures.failure(path, title, STATE, order, None if where is None else where[:, 1:], dpi)
+
+
+@task(task_run_name="log-{workspace.suite}", retries=1)
+def log(run: tracking.Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
+    """Scores and report of the suite, so that versions of the diagnosis are compared over time."""
+    run.params({name: opened.manifest[name] for name in MANIFEST_KEYS})
+    run.scores({_metric(s.name): s.value for s in table if s.n})
+    for path in sorted(_folder(workspace, opened).glob("*.*")):
+        run.artifact(path)
+
+
+def _metric(name: str) -> str:
+    """MLflow's names admit no brackets and few other signs."""
+    return "".join(c if c.isalnum() or c in "_-. " else "_" for c in name)

@@ -1,0 +1,131 @@
+"""What counts as right and wrong in a sealed suite, on statements made up for it."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tasks.sealed import metrics
+from tasks.sealed.judge import judge, overlap, rows_of, set_f1
+
+
+def key(kind: str, *effects: str, strength: float = 100.0, **more: Any) -> dict[str, Any]:
+    verdicts = {"null": ["nothing", "parameters_only"], "outside": ["unexplained"]}.get(kind, ["missing_physics"])
+    return {
+        "kind": kind, "strength": strength, "target": strength, "when": None, "verdicts": verdicts,
+        "effects": [{"id": e, "accept": [e, *more.get("also", ())], "channels": [], "outputs": ["base_vx"],
+                     "constants": [{"name": "limit", "value": 0.5, "unit": "m/s"}]} for e in effects],
+        "recipe": {"size": "usual", "poor": False, "level": 1.0, "outliers": False, "wild": False},
+        "error_50": {"true": 0.06, "refitted": 0.1},
+    }  # fmt: skip
+
+
+def effect(name: str, probability: float = 0.99, credible: tuple[str, ...] = (), gain: float = 50.0) -> dict[str, Any]:
+    return {"id": name, "probability": probability, "credible_set": [name, *credible], "gain_nats": gain,
+            "outputs": ["base_vx", "base_vy"], "from_s": None,
+            "constants": [{"name": "limit", "value": -0.52, "unit": "m/s", "ci95": [-0.55, -0.49]}]}  # fmt: skip
+
+
+def told(verdict: str, *effects: dict[str, Any], augmented: float | None = None) -> dict[str, Any]:
+    models = {"refitted": 0.2, "black_box": 0.18, **({"augmented": augmented} if augmented else {})}
+    return {"verdict": verdict, "effects": list(effects), "located": {"regimes": []},
+            "fit": {"models": {m: {"error_50": {"value": v}} for m, v in models.items()}}}  # fmt: skip
+
+
+def row(key: dict[str, Any], told: dict[str, Any] | None, error: str | None = None) -> dict[str, Any]:
+    found = {"case": "0", **judge(key, told, 1.0, error)}
+    return {**found, "fault": metrics.fault(found)}
+
+
+@pytest.mark.parametrize(
+    ("truth", "said", "fault"),
+    [
+        (key("null"), told("parameters_only"), ""),
+        (key("null"), told("unexplained"), "false alarm"),
+        (key("null"), told("missing_physics", effect("gain")), "false alarm"),
+        (key("single", "saturation"), told("missing_physics", effect("saturation")), ""),
+        (key("single", "gain", also=("viscous_drag",)), told("missing_physics", effect("viscous_drag")), ""),
+        (key("single", "saturation"), told("missing_physics", effect("gain")), "surely wrong"),
+        (key("single", "saturation"), told("missing_physics", effect("gain", 0.6)), "wrong name"),
+        (key("single", "saturation"), told("missing_physics", effect("gain", 0.96, ("saturation",))), "wrong name"),
+        (key("single", "saturation"), told("nothing"), "nothing said"),
+        (key("single", "saturation", strength=3.0), told("nothing"), ""),
+        (key("pair", "lag", "slip"), told("missing_physics", effect("lag"), effect("slip")), ""),
+        (key("pair", "lag", "slip"), told("missing_physics", effect("lag")), "wrong set"),
+        (key("outside", "magnet"), told("unexplained"), ""),
+        (key("outside", "magnet"), told("missing_physics", effect("lag")), "name beyond words"),
+        (key("outside", "magnet"), told("parameters_only"), "not seen"),
+        (key("single", "lag"), None, "nothing said"),
+    ],
+)
+def test_faults(truth: dict[str, Any], said: dict[str, Any] | None, fault: str) -> None:
+    assert row(truth, said)["fault"] == fault
+
+
+def test_a_case_that_broke_off_comes_first() -> None:
+    broken = row(key("null"), None, "killed")
+    wolf = row(key("null"), told("unexplained"))
+    assert [r["fault"] for r in metrics.failures([wolf, broken])] == ["broke off", "false alarm"]
+
+
+def test_the_first_name_is_the_one_that_gains_most() -> None:
+    said = told("missing_physics", effect("gain", gain=10.0), effect("saturation", gain=90.0))
+    found = row(key("single", "saturation"), said)
+    assert found["top1"]
+    assert not found["exact"]
+    assert found["extra"] == 1
+
+
+def test_constants_are_compared_by_size_and_their_interval_by_either_sign() -> None:
+    found = row(key("single", "saturation"), told("missing_physics", effect("saturation")))
+    assert found["constant_error"] == pytest.approx(0.04)
+    assert found["constant_held"]
+    assert found["outputs_f1"] == pytest.approx(2 / 3)
+
+
+def test_the_share_of_the_improvement_is_of_what_the_true_form_makes() -> None:
+    found = row(key("single", "lag"), told("missing_physics", effect("lag"), augmented=0.14))
+    assert found["share"] == pytest.approx(0.3 / 0.4)
+    assert found["share_black_box"] == pytest.approx(0.1 / 0.4)
+    assert "share" not in row(key("null"), told("nothing"))
+
+
+def test_f1_of_sets() -> None:
+    assert set_f1([{"a"}, {"b", "c"}], ["c", "a"]) == 1.0
+    assert set_f1([{"a"}, {"b"}], ["a"]) == pytest.approx(2 / 3)
+    assert set_f1([{"a"}, {"a"}], ["a", "a"]) == 1.0
+    assert set_f1([{"a"}], ["a", "b", "d"]) == 0.5
+
+
+def test_regimes_overlap_by_rows() -> None:
+    reach = {"reach": np.linspace(0, 1, 101)}
+    assert overlap("reach > 0.5 m", ["reach > 0.75 m", "reach < 0.1 m"], reach) == pytest.approx(0.5, abs=0.02)
+    assert overlap("reach > 0.5 m", [], reach) == 0.0
+    assert rows_of("|cmd_base_vx| < 1e-2 m/s", {"|cmd_base_vx|": np.array([0.0, 0.02])}) is not None
+    assert rows_of("mood > 3", reach) is None
+
+
+def test_intervals_of_shares() -> None:
+    low, high = metrics.wilson(0, 200)
+    assert (low, high) == (0.0, pytest.approx(0.0188, abs=1e-3))
+    assert metrics.wilson(50, 100) == (pytest.approx(0.404, abs=2e-3), pytest.approx(0.596, abs=2e-3))
+    assert all(math.isnan(v) for v in metrics.wilson(0, 0))
+
+
+def test_the_table_counts_each_kind_by_itself() -> None:
+    rows = [
+        row(key("null"), told("nothing")), row(key("null"), told("unexplained")),
+        row(key("single", "lag"), told("missing_physics", effect("lag"))),
+        row(key("single", "lag", strength=10.0), told("nothing")),
+        row(key("duel", "lag"), told("missing_physics", effect("delay"))),
+        row(key("outside", "magnet"), told("missing_physics", effect("lag"))),
+    ]  # fmt: skip
+    found = {s.name: (s.value, s.n) for s in metrics.table(rows, np.random.default_rng(0))}
+    assert found["false alarms on nulls"] == (0.5, 2)
+    assert found["top-1, 30 nats and more"] == (1.0, 1)
+    assert found["top-1, 10 nats"] == (0.0, 1)
+    assert found["confident-wrong on duels"] == (1.0, 1)
+    assert found["wrong names outside the vocabulary"] == (1.0, 1)
+    bins = metrics.power(rows)
+    assert [(b["n"], b["right"]) for b in bins] == [(0, 0.0), (1, 0.0), (0, 0.0), (2, 0.5), (0, 0.0)]

@@ -1,0 +1,102 @@
+"""A sealed suite from end to end, at its smallest: concealed, examined without keys, scored; resumed, not fooled."""
+
+import copy
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from concealed import seal
+from flows.sealed import conceal, examine, score
+from simgap.types import SimgapError
+from tasks import files
+from tasks.params import SealedParams, load_sealed
+from tasks.sealed.conceal import seed_of
+from tasks.sealed.workspace import SealedWorkspace
+
+ROOT = Path(__file__).parents[2]
+TINY = {"conceal": {"nulls": 1, "effects": ["saturation"]}}
+
+
+@pytest.fixture(scope="module")
+def params() -> SealedParams:
+    small = yaml.safe_load((ROOT / "sealed" / "small.yaml").read_text())
+    return load_sealed(ROOT / "sealed" / "params.yaml", small, TINY)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) -> SealedWorkspace:
+    """After `conceal`."""
+    workspace = SealedWorkspace(tmp_path_factory.mktemp("sealed"), "development")
+    conceal.run.fn("development", params, workspace.root)
+    return workspace
+
+
+@pytest.fixture(scope="module")
+def examined(workspace: SealedWorkspace, params: SealedParams) -> SealedWorkspace:
+    """After `examine`, twice, where one of the two cases cannot be read: it fails, and loses no other."""
+    damaged, other = sorted(workspace.cases.iterdir())
+    session = damaged / "a.csv"
+    session.write_text(session.read_text().replace("cmd_ee_vz", "nothing"))
+    diagnosed = set()
+    for _ in range(2):
+        with pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged.name}.*cmd_ee_vz is missing"):
+            examine.run("development", params, workspace.root)
+        assert files.read_json(workspace.record(other.name))["error"] is None
+        diagnosed.add(workspace.record(other.name).stat().st_mtime_ns)
+    assert len(diagnosed) == 1  # it is not done again
+    session.write_text(session.read_text().replace("nothing", "cmd_ee_vz"))
+    return workspace
+
+
+def test_names_and_hashes_are_published_and_nothing_else(workspace: SealedWorkspace) -> None:
+    manifest = files.read_json(workspace.published)
+    names = sorted(c.name for c in workspace.cases.iterdir())
+    assert sorted(manifest["keys"]) == names == sorted(n for part in manifest["parts"] for n in part)
+    assert all(len(digest) == 64 for digest in manifest["keys"].values())
+    assert "saturation" not in json.dumps(manifest) + workspace.sealed.read_bytes().decode("latin1")
+    assert workspace.secret.stat().st_mode & 0o077 == 0
+
+
+def test_every_case_is_scored_and_the_report_is_whole(examined: SealedWorkspace, params: SealedParams,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
+    monkeypatch.chdir(examined.root)
+    score.run("development", params, examined.root)
+    manifest = files.read_json(examined.manifest)
+    report = examined.report(manifest["code"], manifest["round"])
+    text = (report / "report.md").read_text()
+    assert "saturation" in text
+    assert {"manifest.json", "power.png", "confusion.png", "reliability.png", "cases.csv", "report.md"} <= {
+        p.name for p in report.iterdir()
+    }
+    for line in text.splitlines():
+        if line.startswith("!["):
+            assert (report / line.split("](")[1][:-1]).exists(), line
+    failed = files.read_json(examined.metrics)["cases that failed"]
+    assert (failed["value"], failed["n"]) == (0.5, 2)
+    assert "broke off: 1" in text
+
+
+def test_another_key_than_the_published_one_is_refused(examined: SealedWorkspace, params: SealedParams) -> None:
+    closed, published = examined.sealed.read_bytes(), files.read_json(examined.manifest)["keys"]
+    secret = examined.secret.read_bytes()
+    keys = copy.deepcopy(seal.unseal(closed, secret, published))
+    for key in keys.values():
+        key["kind"] = "null"
+    examined.sealed.write_bytes(seal.seal(keys, dict.fromkeys(keys, "00"), secret))
+    try:
+        with pytest.raises(SimgapError, match="not those whose hashes were published"):
+            score.run.fn("development", params, examined.root)
+    finally:
+        examined.sealed.write_bytes(closed)
+
+
+def test_seeds_of_an_examination_are_fixed_by_code_and_round(params: SealedParams) -> None:
+    asked = params.conceal
+    later = asked.model_copy(update={"round": 1})
+    of = lambda suite, params, code: tuple(seed_of(suite, params, code))  # noqa: E731
+    assert of("development", asked, "a") == of("development", asked, "b")
+    seeds = {of("examination", asked, "a"), of("examination", asked, "b"), of("examination", later, "a")}
+    assert len(seeds) == 3
+    assert of("examination", asked, "a") == of("examination", asked.model_copy(update={"seed": 9}), "a")
