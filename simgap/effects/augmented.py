@@ -75,9 +75,9 @@ class Augmented:
         """Index in the catalogue of the effect that each entry of theta belongs to."""
         return np.array([slot.effect for slot in self.slots], int)
 
-    def active(self, *thetas: Float[Array, "... P"]) -> Bool[Array, " effects"]:
+    def active(self, *thetas: Float[Array | np.ndarray, "... P"]) -> Bool[Array, " effects"]:
         """The effects that have a constant other than zero in any of these, batches included."""
-        on = sum(jnp.any(theta != 0, axis=range(theta.ndim - 1)) for theta in thetas)
+        on = sum(jnp.any(jnp.asarray(theta) != 0, axis=range(theta.ndim - 1)) for theta in thetas)
         return jnp.zeros(len(CATALOGUE), int).at[self.effect_of].max(on) > 0
 
     def laws(self, theta: Theta, active: Active, *places: str) -> list["Law"]:

@@ -12,8 +12,13 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("simgap", "tasks", "flows")
 DOORS = {
     "mlflow": {"tasks/tracking.py"},
-    "matplotlib": {"tasks/plots.py", "tasks/check_plots.py", "tasks/diagnosis_plots.py", "tasks/tracking_plots.py",
-                   "tasks/sealed/figures.py"},
+    "matplotlib": {
+        "tasks/plots.py",
+        "tasks/check_plots.py",
+        "tasks/diagnosis_plots.py",
+        "tasks/tracking_plots.py",
+        "tasks/sealed/figures.py",
+    },
     "yaml": {"tasks/params.py", "flows/provenance.py"},
     "mcap": {"tasks/bags.py"},
     "rosbags": {"tasks/bags.py"},
