@@ -58,6 +58,8 @@ COVERED = {
     r"make (up|down)": ("flows/test_operate.py", '"flows.servers", "up"'),
     r"dvc repro": ("flows/test_dvc.py", 'run("dvc", "repro")'),
     r"dvc repro spot/dvc\.yaml": ("flows/test_dvc.py", '"dvc", "stage", "list", "spot/dvc.yaml"'),
+    r"dvc repro sealed/dvc\.yaml": ("flows/test_dvc.py", '"dvc", "stage", "list", "sealed/dvc.yaml"'),
+    r"python -m flows\.sealed\.\w+ examination": ("sealed/test_sealed_suite.py", "conceal.run"),
     r"dvc exp (run|show).*": ("flows/test_dvc.py", '"dvc", "exp", "run"'),
     r"dvc metrics diff": ("flows/test_dvc.py", '"dvc", "metrics", "diff"'),
     r"prefect deployment run sweep/.*": ("flows/test_operate.py", '"prefect", "deployment", "run", "sweep/'),
@@ -65,6 +67,7 @@ COVERED = {
     r"simgap diagnose .*": ("flows/test_diagnose.py", '"diagnose", "rail"'),
     r"simgap (import|check) .*": ("tasks/test_importing.py", '["import", "walk.mcap"'),
     r"python -m examples\.record .*": ("examples/test_examples.py", "examples.record"),
+    r"python -m examples\.knockouts .*": ("examples/test_examples.py", '"examples.knockouts"'),
     r"python -m flows\.(policy|track) virtual": ("flows/test_dvc.py", 'run("dvc", "repro")'),
     r"python -m benchmarks\..*": ("architecture/test_docs.py", "test_the_benchmarks_are_there"),
     r"SIMGAP_CLUSTER=.*": ("flows/test_cluster.py", "SIMGAP_CLUSTER"),
@@ -80,7 +83,8 @@ def commands() -> list[tuple[str, str]]:
     found = []
     for path in PAGES:
         for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL):
-            for line in block.splitlines() if language in ("", "bash") else []:
+            lines = re.sub(r"\\\n\s*", "", block).splitlines()
+            for line in lines if language in ("", "bash") else []:
                 command = re.split(r"\s{2,}#|^#", line)[0].strip()
                 if command:
                     found.append((path.name, command))

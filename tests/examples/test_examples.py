@@ -17,9 +17,9 @@ from examples.car import CAR, Car
 from examples.drive import DRIVE, Drive
 from examples.knockouts import WITHOUT_INDUCED_VELOCITY, late
 from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive_session, record
-from simgap.simulators.spot import Spot
+from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording
-from tasks.files import read_recordings
+from tasks.files import read_recordings, write_recording
 from tasks.simulators import check, load
 
 ROOT = Path(__file__).parents[2]
@@ -225,3 +225,15 @@ def test_late_commands_stand_before_the_row_they_act_in() -> None:
     shifted = late(recording, 2)
     np.testing.assert_array_equal(shifted.state[:, 0], [0, 1, 2, 3])
     np.testing.assert_array_equal(shifted.command[:, 0], [20, 30, 40, 50])
+
+
+def test_the_command_line_writes_late_recordings(tmp_path: Path) -> None:
+    time, rows = np.arange(5) / 15, np.arange(5)[:, None] / 2
+    write_recording(tmp_path / "a", Recording("s", time, rows + np.zeros(12), rows + np.zeros(6)), SCHEMA)
+    command = [sys.executable, "-m", "examples.knockouts", str(tmp_path / "a"), str(tmp_path / "b"), "--rows", "1"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr + done.stdout
+    ((written,), errors) = read_recordings(tmp_path / "b", SCHEMA, 1 / 15)
+    assert not errors
+    np.testing.assert_array_equal(written.command[:, 0], [0.5, 1.0, 1.5, 2.0])
+    np.testing.assert_array_equal(written.state[:, 0], [0.0, 0.5, 1.0, 1.5])

@@ -90,3 +90,10 @@ def test_the_real_spots_pipeline_is_complete(run: Callable[..., str]) -> None:
         f"spot/dvc.yaml:{stage}"
         for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
     ]
+
+
+def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
+    stages = run("dvc", "stage", "list", "sealed/dvc.yaml")
+    assert [line.split()[0] for line in stages.splitlines()] == [
+        f"sealed/dvc.yaml:{stage}" for stage in ("conceal", "examine", "score")
+    ]
