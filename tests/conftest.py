@@ -15,6 +15,7 @@ import pytest
 os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are called without a flow here
 os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"  # at its end a process would wait for a server that is gone
 os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="simgap-prefect-")
+os.environ.pop("MLFLOW_TRACKING_URI", None)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
 
 import flows  # noqa: F401  # settles the environment before any library reads it
@@ -49,3 +50,10 @@ def prefect_server() -> Iterator[dict[str, str]]:
     finally:
         server.terminate()
         server.wait(timeout=30)
+
+
+@pytest.fixture(autouse=True)
+def _own_store() -> Iterator[None]:
+    """No test logs where another one did: `mlflow.set_tracking_uri` leaves its address in the environment."""
+    yield
+    os.environ.pop("MLFLOW_TRACKING_URI", None)
