@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Scales
 from simgap.recordings import HISTORY
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
@@ -60,11 +59,9 @@ class NextStates:
 def _load_pyfunc(path: str, origin: Origin) -> NextStates:
     """Called by MLflow, by this name."""
     arrays = files.load_arrays(Path(path))
-    scales = {name: arrays[f"{files.SCALES}{name}"] for name in Scales._fields}
-    numbers = {name: float(value) if value.ndim == 0 else value for name, value in scales.items()}
-    simulator = simulators.load(origin["simulator"])
+    scales, simulator = files.pop_scales(arrays), simulators.load(origin["simulator"])
     if isinstance(simulator, Spot):
-        simulator = replace(simulator, time_step=numbers["time_step"])
+        simulator = replace(simulator, time_step=scales.time_step)
     # To take a step it need not be more than a StepModel.
-    whole = AugmentedSimulator.of(simulator, arrays["theta"], Scales(**numbers))  # type: ignore[arg-type]
+    whole = AugmentedSimulator.of(simulator, arrays["theta"], scales)  # type: ignore[arg-type]
     return NextStates(whole, arrays["phi"])

@@ -93,7 +93,7 @@ def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
     """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for."""
     files.write_json(folder / STATEMENT, found.statement)
     constants = found.model._asdict()
-    scales = {f"scales_{name}": np.asarray(array) for name, array in constants.pop("scales")._asdict().items()}
+    scales = files.scale_arrays(constants.pop("scales"))
     files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)
     if found.experiment is None:
         (folder / EXPERIMENT).unlink(missing_ok=True)

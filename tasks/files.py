@@ -465,16 +465,25 @@ def load_policy(path: Path) -> Actor:
 
 def augmented_arrays(simulator: AugmentedSimulator) -> dict[str, np.ndarray]:
     """The effects' constants, what they refer to (`scales_<name>`) and the time step [s], as `augmented_spot` reads."""
-    scales = {f"{SCALES}{name}": np.asarray(value) for name, value in simulator.scales._asdict().items()}
-    return {"theta": simulator.constants, "time_step": np.asarray(simulator.time_step, np.float64), **scales}
+    return {"theta": simulator.constants, "time_step": np.asarray(simulator.time_step, np.float64),
+            **scale_arrays(simulator.scales)}  # fmt: skip
 
 
 def augmented_spot(arrays: dict[str, np.ndarray]) -> AugmentedSimulator:
     """The Spot with effects that `augmented_arrays` wrote, whose arrays are taken out; KeyError if one is missing."""
+    scales, spot = pop_scales(arrays), Spot(time_step=float(arrays.pop("time_step")))
+    return AugmentedSimulator.of(spot, arrays.pop("theta"), scales)
+
+
+def scale_arrays(scales: Scales) -> dict[str, np.ndarray]:
+    """What effects' constants refer to, as `pop_scales` reads it."""
+    return {f"{SCALES}{name}": np.asarray(value) for name, value in scales._asdict().items()}
+
+
+def pop_scales(arrays: dict[str, np.ndarray]) -> Scales:
+    """The scales among `arrays`, which are taken out; KeyError if one is missing."""
     scales = {name: arrays.pop(f"{SCALES}{name}") for name in Scales._fields}
-    numbers = {name: float(value) if value.ndim == 0 else value for name, value in scales.items()}
-    spot = Spot(time_step=float(arrays.pop("time_step")))
-    return AugmentedSimulator.of(spot, arrays.pop("theta"), Scales(**numbers))  # type: ignore[arg-type]
+    return Scales(**{name: float(v) if v.ndim == 0 else v for name, v in scales.items()})  # type: ignore[arg-type]
 
 
 def _augmented_spot(simulator: object) -> AugmentedSimulator:
