@@ -99,11 +99,12 @@ def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: tracking.Sto
     """The results as a table and links in Prefect's pages and in the terminal."""
     linked = sweep.table(rows, lambda row: f"[MLflow]({tracking.link(store, row.run_id)})")
     artifacts.table("sweep-results", linked, f"Sweep {name}, best first. Best: {best.title}.")
-    side_by_side = {"compare": tracking.compare(store, "sweep", name)} if store.pages else {}
-    places = {"MLflow": tracking.link(store, parent.run_id), **side_by_side, "folder": str(forms.folder(name))}
+    places = {"MLflow": tracking.link(store, parent.run_id),
+              "compare": tracking.compare(store, name, f"tags.sweep = '{name}'", tracking.MODELS),
+              "folder": str(forms.folder(name))}  # fmt: skip
     artifacts.links("sweep-links", places, f"Sweep {name}")
     progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))
-    progress.say("\n".join(f"{what:8}{place}" for what, place in places.items()))
+    progress.say("\n".join(f"{what:8}{place}" for what, place in places.items() if place))
     progress.say(f"{'best':8}models:/{sweep.REGISTERED}@{name}   ({best.title})")
 
 

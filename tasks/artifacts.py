@@ -35,7 +35,7 @@ def table(key: str, rows: Sequence[dict[str, Any]], description: str) -> None:
 
 
 def links(key: str, places: dict[str, str], description: str) -> None:
-    """Where things are: words and addresses or paths."""
+    """Where things are: words and addresses or paths; an empty one is left out."""
     lines = [f"- {what}: {f'[{place}]({place})' if place.startswith('http') else f'`{place}`'}"
-             for what, place in places.items()]  # fmt: skip
+             for what, place in places.items() if place]  # fmt: skip
     create_markdown_artifact(markdown="\n".join([description, "", *lines]), key=key)

@@ -11,7 +11,7 @@ from prefect import task
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
 from simgap.types import Recording, RecordingError, Schema, StepModel
-from tasks import files, tracking
+from tasks import files, fingerprint, tracking
 from tasks.diagnosis_page import page
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
@@ -107,6 +107,7 @@ def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
 @task(task_run_name="log-recordings-{name}", retries=1)
 def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
     """What is diagnosed, before it is: a run that fails says as much."""
+    run.tags({"config": fingerprint.configuration_of_diagnosis(name, folders, seed)})
     run.params(
         {
             "simulator": name,
