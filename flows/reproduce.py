@@ -7,7 +7,7 @@ from typing import Any
 
 from prefect import flow
 
-from flows import diagnose, policy, recordings, report, score, track, train, transitions
+from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
 from flows.start import PARAMS, add_overrides, guarded, read_overrides
 from simgap.types import SimgapError
 from tasks import progress
@@ -36,12 +36,12 @@ def run(source: str, params: Params, root: Path) -> None:
     attempt(policy.run)
     attempt(track.run)
     diagnose.run(source, params, root)
-    workspace = Workspace(root, source)
+    workspace, server = Workspace(root, source), running.find("mlflow")
+    pages = server.address if server else ".venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db"
     progress.say(
         f"\nreport     {workspace.reports / 'report.md'}\nfigures    {workspace.reports}\n"
         f"tracking   {workspace.tracking / 'report.md'}\ndiagnosis  {workspace.diagnosis / PAGE}\n"
-        "MLflow     .venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db   "
-        "(experiments model-validation, policies and diagnosis)"
+        f"MLflow     {pages}   (experiments model-validation, policies and diagnosis)"
     )
     if failures:
         raise failures[0]

@@ -26,6 +26,7 @@ from flows.start import guarded
 from simgap.types import SimgapError
 from tasks import files, progress
 
+DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
 _TAIL_LINES = 15
 
@@ -64,6 +65,10 @@ def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     servers = _servers(host, prefect_port, mlflow_port, runs)
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
+        if not DATABASE.exists():
+            from tasks import tracking  # seconds of imports, for the first time alone
+
+            tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
         for server in servers:
             _start(server)
     width = max(len(server.name) for server in servers)
@@ -97,7 +102,7 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[
     }
     serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
     ui = [str(binaries / "mlflow"), "server", "--host", host, "--port", str(mlflow_port), "--workers", "1",
-          "--backend-store-uri", f"sqlite:///{Path('mlflow.db').absolute()}",
+          "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
           "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
     return [
         Server(

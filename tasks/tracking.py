@@ -30,6 +30,7 @@ from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
 from mlflow.models import Model, ModelSignature
+from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
 from sqlalchemy.exc import SQLAlchemyError
@@ -145,7 +146,23 @@ def open_store(root: Path, experiment: str, uri: str | None = None, pages: str =
     artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
     with (root / "mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        if _plain_file(uri):
+            make_database(Path(uri.removeprefix("sqlite:///")), root / "mlruns")
         return Store(uri, experiment, _experiment_id(_Client(uri), experiment, artifacts), pages)
+
+
+def make_database(path: Path, artifacts: Path) -> None:
+    """MLflow's tables in SQLite, if the file is not there; made beside it and put in its place whole.
+
+    MLflow's migrations, killed midway, leave a database that no start mends.
+    """
+    if path.exists():
+        return
+    new = path.with_name(f"{path.name}.new")
+    with _explaining(f"sqlite:///{path}"):
+        new.unlink(missing_ok=True)
+        SqlAlchemyStore(f"sqlite:///{new}", artifacts.as_uri()).engine.dispose()
+        new.replace(path)
 
 
 def _experiment_id(client: Any, name: str, artifacts: str | None) -> str:
