@@ -12,8 +12,8 @@ from flows import policy as policy_flow
 from flows import provenance, train
 from flows import reproduce as reproduce_flow
 from flows import track as track_flow
-from flows.start import PARAMS
-from flows.sweep import alone, prepare
+from flows.start import PARAMS, alone
+from flows.sweep import prepare
 from simgap.types import SimgapError
 from tasks import artifacts, diagnose, files, forms, score, sweep, tracking
 from tasks import track as track_tasks

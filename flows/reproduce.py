@@ -8,7 +8,7 @@ from typing import Any
 from prefect import flow
 
 from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
-from flows.start import PARAMS, add_overrides, guarded, read_overrides
+from flows.start import PARAMS, add_overrides, alone, guarded, read_overrides
 from simgap.types import SimgapError
 from tasks import progress
 from tasks.diagnose import PAGE
@@ -59,7 +59,9 @@ def _main() -> None:
         overrides = read_overrides(arguments)
         if arguments.recordings:
             overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
-        run(arguments.source, load_params(PARAMS, *overrides), arguments.workspace)
+        params = load_params(PARAMS, *overrides)
+        with alone(arguments.workspace):
+            run(arguments.source, params, arguments.workspace)
 
     guarded(work)
 

@@ -1,9 +1,6 @@
 """A sweep: models, N, seeds and hyperparameters of one's choice, on recordings of one's choice; in `sweeps/<name>/`."""
 
-import fcntl
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +10,7 @@ from prefect.runtime import flow_run
 from flows import provenance, transitions
 from flows import recordings as recordings_flow
 from flows.fan_out import Place
-from flows.start import PARAMS
+from flows.start import PARAMS, alone
 from flows.train import told, train_cells
 from simgap.types import SimgapError
 from tasks import artifacts, files, forms, progress, score, sweep, tracking
@@ -106,20 +103,6 @@ def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: tracking.Sto
     progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))
     progress.say("\n".join(f"{what:8}{place}" for what, place in places.items() if place))
     progress.say(f"{'best':8}models:/{sweep.REGISTERED}@{name}   ({best.title})")
-
-
-@contextmanager
-def alone(root: Path) -> Iterator[None]:
-    """Hold a run's folder; SimgapError where another process works in it."""
-    files.make_folder(root)
-    with (root / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise SimgapError(
-                f"{root}: another run of this name is at work there. Wait for it, or give this one another name."
-            ) from None
-        yield
 
 
 def start(name: str, arguments: dict[str, Any]) -> None:

@@ -90,18 +90,21 @@ def find(simulator: StepModel, name: str, sessions: Sessions, seed: int, say: Ca
 
 @task(task_run_name="write-{folder.name}")
 def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
-    """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for."""
-    files.write_json(folder / STATEMENT, found.statement)
+    """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for.
+
+    The statement goes first and comes last: where it is, all else is of the same diagnosis.
+    """
+    for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
+        (folder / name).unlink(missing_ok=True)
     constants = found.model._asdict()
     scales = files.scale_arrays(constants.pop("scales"))
     files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)
-    if found.experiment is None:
-        (folder / EXPERIMENT).unlink(missing_ok=True)
-    else:
+    if found.experiment is not None:
         columns = ("time_s", *(f.name for f in schema.command))
         rows = np.column_stack(found.experiment)
         files.write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
     files.write_text(folder / PAGE, page(found.statement, found.evidence))
+    files.write_json(folder / STATEMENT, found.statement)
 
 
 @task(task_run_name="log-recordings-{name}", retries=1)

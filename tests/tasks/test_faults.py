@@ -18,7 +18,7 @@ import mlflow.pyfunc
 import numpy as np
 import pytest
 
-from flows.sweep import alone
+from flows.start import alone
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
 from tasks import files, tracking
