@@ -67,7 +67,9 @@ def guarded(work: Callable[[], Any]) -> None:
     except SimgapError as error:
         progress.say(f"error: {error}")
         sys.exit(1)
-    except httpx.HTTPError as error:
+    except (httpx.HTTPError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and not str(error).startswith("Failed to reach API"):  # Prefect's own words
+            raise
         progress.say(
             f"error: Prefect's server does not answer ({error or type(error).__name__}). What is finished is kept. "
             "Start the server (`make up`), or unset PREFECT_API_URL, and give the same command again."
