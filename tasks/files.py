@@ -94,6 +94,11 @@ def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
     return path
 
 
+def session_names(folder: Path) -> list[str]:
+    """Names of the sessions under a folder, whether they can be used or not."""
+    return [path.relative_to(folder).with_suffix("").as_posix() for path in _session_files(folder, ("**/*",))]
+
+
 def _relative_name(name: str) -> str:
     """The session's name, which becomes a path; RecordingError when that would not lie in the folder or read back."""
     path = PurePosixPath(name)

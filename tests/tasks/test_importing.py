@@ -186,7 +186,7 @@ def test_a_session_becomes_the_recording_it_was_made_of(tmp_path: Path, kind: st
     np.testing.assert_allclose(recording.command[:, 0], sent[last])
 
 
-def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path) -> None:
+def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = table()
     rows = rows[(rows.stamp_ms < 3000) | (rows.stamp_ms > 4000)]
     (tmp_path / "in" / "deep").mkdir(parents=True)
@@ -194,6 +194,9 @@ def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path) -> None:
     found = imported(tmp_path, tmp_path / "in", TABLE)
     assert [r.name for r in found] == ["deep/walk_1", "deep/walk_2"]
     assert found[0].time_s[-1] + found[1].time_s[-1] < SECONDS - 1
+    assert "besides" not in capsys.readouterr().out
+    imported(tmp_path, tmp_path / "in", {**TABLE, "longest_gap_s": 2.0})
+    assert "holds deep/walk_1, deep/walk_2 besides, which this import did not write" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
