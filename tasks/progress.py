@@ -115,8 +115,7 @@ def quiet_libraries() -> None:
     """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks of explained errors."""
     for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    # That a server is gone is told once; these would tell it again for every event and every try.
-    logging.getLogger("prefect._internal").setLevel(logging.CRITICAL)
+    # That a server is gone is told once; this would tell it again for every try.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
     for name in ("prefect.flow_runs", "prefect.task_runs"):
         logging.getLogger(name).addFilter(_needs_a_traceback)
