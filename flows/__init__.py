@@ -14,6 +14,8 @@ _DEFAULTS = {
     # Without a running server, a flow starts one of its own; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_LOGGING_LEVEL": "WARNING",
+    # That its server is gone is told by a warning; this would tell it again for every event, with all that is in it.
+    "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
     # What takes a second and more to compile is compiled once for all processes.
     "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
     # DVC says what is stale; Prefect caches nothing.

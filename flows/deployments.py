@@ -12,9 +12,10 @@ from flows import policy as policy_flow
 from flows import provenance, train
 from flows import reproduce as reproduce_flow
 from flows import track as track_flow
-from flows.start import PARAMS
-from flows.sweep import alone, prepare
-from tasks import artifacts, diagnose, files, forms, tracking
+from flows.start import PARAMS, alone
+from flows.sweep import prepare
+from simgap.types import SimgapError
+from tasks import artifacts, diagnose, files, forms, score, sweep, tracking
 from tasks import track as track_tasks
 from tasks.forms import Models, Noises, Recordings, SampleSizes, Seeds
 from tasks.params import NoiseName, Params, load_params
@@ -47,11 +48,29 @@ def reproduce(
     policies = {"models": models, "noise": noises[-1], "sample_sizes": sample_sizes, "seeds": seeds}
     params = _params(recordings, {"train": grid, "policy": policies}, overrides)
     with alone(root):
-        reproduce_flow.run.fn(recordings.source, params, root)
-        workspace = Workspace(root, recordings.source)
-        places = {"report": str(workspace.reports / "report.md"), "tracking": str(workspace.tracking / "report.md"),
-                  "diagnosis": str(workspace.diagnosis / diagnose.PAGE)}  # fmt: skip
-        artifacts.links("reproduce-links", places, f"Reproduction {root.name}")
+        failure = None
+        try:
+            reproduce_flow.run.fn(recordings.source, params, root)
+        except SimgapError as error:
+            failure = error
+        _show(Workspace(root, recordings.source))
+        if failure:
+            raise failure
+
+
+def _show(workspace: Workspace) -> None:
+    """Of a reproduction, what there is of it: scores as a table, and where things are."""
+    name, own = workspace.root.name, f"tags.workspace = '{workspace.root}'"
+    models, policies = provenance.store(), provenance.store(policy_flow.EXPERIMENT)
+    if (workspace.scores / score.TABLE).exists():
+        rows = sweep.table(sweep.rows(workspace, models), lambda row: f"[MLflow]({tracking.link(models, row.run_id)})")
+        artifacts.table("reproduce-results", rows, f"Reproduction {name}, best first")
+    written = {"report": workspace.reports / "report.md", "tracking": workspace.tracking / "report.md",
+               "diagnosis": workspace.diagnosis / diagnose.PAGE}  # fmt: skip
+    pages = {"models in MLflow": tracking.compare(models, name, own, tracking.MODELS),
+             "policies in MLflow": tracking.compare(policies, name, own, tracking.POLICIES)}  # fmt: skip
+    places = {what: str(path) for what, path in written.items() if path.exists()}
+    artifacts.links("reproduce-links", {**pages, **places}, f"Reproduction {name}")
 
 
 @flow(name="track")
@@ -90,7 +109,9 @@ def track(
         rows = track_flow.run(source, params, root)
         best = track_tasks.register_best(workspace, rows, noise, root.name, store)
         artifacts.table("tracking-results", rows, f"Tracking {root.name}")
-        places = {"the best policy in MLflow": tracking.link(store, best), "report": f"{workspace.tracking}/report.md"}
+        places = {"the best policy in MLflow": tracking.link(store, best),
+                  "compare": tracking.compare(store, root.name, f"tags.workspace = '{root}'", tracking.POLICIES),
+                  "report": f"{workspace.tracking}/report.md"}  # fmt: skip
         artifacts.links("track-links", places, f"Tracking {root.name}")
 
 
@@ -117,7 +138,10 @@ def diagnose_recordings(
         run_id = diagnose_flow.diagnose_folder.fn(forms.inside(recordings), simulator, before, judges, root, seed)
         store = provenance.store(diagnose_flow.EXPERIMENT)
         statement = files.read_json(root / diagnose.STATEMENT)["statement"]
-        places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE)}
+        same = f"params.recordings = '{recordings}'"
+        places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE),
+                  "diagnoses of these recordings": tracking.compare(store, root.name, same, tracking.DIAGNOSES),
+                  }  # fmt: skip
         artifacts.links("diagnosis-links", places, statement)
 
 

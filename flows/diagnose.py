@@ -53,6 +53,7 @@ def _diagnose(
     counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
     progress.say(f"diagnosis of {name} on {label}: {counts} sessions")
     files.make_folder(out)  # before the work, not after it
+    files.remove_unfinished(out)
     store = provenance.store(EXPERIMENT)
     with tracking.diagnosis_run(store, f"{label}-{name}", tags) as tracked:
         diagnose.log_recordings(tracked, name, folders, sessions, seed)

@@ -12,6 +12,7 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
     mapping = importing.read_mapping(mapping_file, schema)
     paths = importing.sources(source)
     files.make_folder(out)
+    files.remove_unfinished(out)
     rows: dict[str, int] = {}
     errors: list[RecordingError] = []
     for path in paths:
@@ -24,5 +25,9 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
         progress.say(f"left out: {error}")
     if not rows:
         raise RecordingError(f"{source}: none of its {len(paths)} sessions can be used; the reasons are above.")
+    others = [name for name in files.session_names(out) if name not in rows]
+    if others:
+        progress.say(f"warning: {out} holds {', '.join(others)} besides, which this import did not write. Remove what "
+                     "is not to be used: a session that was cut otherwise before would be there twice.")  # fmt: skip
     progress.say(f"{len(rows)} sessions, {sum(rows.values()):,} rows at {mapping.rate_hz:g} Hz in {out}\n"
                  f"Look at them with: simgap check {out} --simulator {simulator}")  # fmt: skip

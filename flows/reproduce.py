@@ -7,8 +7,8 @@ from typing import Any
 
 from prefect import flow
 
-from flows import diagnose, policy, recordings, report, score, track, train, transitions
-from flows.start import PARAMS, add_overrides, guarded, read_overrides
+from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
+from flows.start import PARAMS, add_overrides, alone, guarded, read_overrides
 from simgap.types import SimgapError
 from tasks import progress
 from tasks.diagnose import PAGE
@@ -36,12 +36,12 @@ def run(source: str, params: Params, root: Path) -> None:
     attempt(policy.run)
     attempt(track.run)
     diagnose.run(source, params, root)
-    workspace = Workspace(root, source)
+    workspace, server = Workspace(root, source), running.find("mlflow")
+    pages = server.address if server else ".venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db"
     progress.say(
         f"\nreport     {workspace.reports / 'report.md'}\nfigures    {workspace.reports}\n"
         f"tracking   {workspace.tracking / 'report.md'}\ndiagnosis  {workspace.diagnosis / PAGE}\n"
-        "MLflow     .venv/bin/mlflow ui --backend-store-uri sqlite:///mlflow.db   "
-        "(experiments model-validation, policies and diagnosis)"
+        f"MLflow     {pages}   (experiments model-validation, policies and diagnosis)"
     )
     if failures:
         raise failures[0]
@@ -59,7 +59,9 @@ def _main() -> None:
         overrides = read_overrides(arguments)
         if arguments.recordings:
             overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
-        run(arguments.source, load_params(PARAMS, *overrides), arguments.workspace)
+        params = load_params(PARAMS, *overrides)
+        with alone(arguments.workspace):
+            run(arguments.source, params, arguments.workspace)
 
     guarded(work)
 

@@ -14,7 +14,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ from flows.start import guarded
 from simgap.types import SimgapError
 from tasks import files, progress
 
+DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
 _TAIL_LINES = 15
 
@@ -64,6 +65,10 @@ def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     servers = _servers(host, prefect_port, mlflow_port, runs)
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
+        if not DATABASE.exists():
+            from tasks import tracking  # seconds of imports, for the first time alone
+
+            tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
         for server in servers:
             _start(server)
     width = max(len(server.name) for server in servers)
@@ -74,12 +79,13 @@ def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
 
 def down() -> None:
     """Stop what `up` started, deployments first so that their runs can tell the server how they ended."""
-    for name in ("deployments", "mlflow", "prefect"):
-        server = running.find(name)
-        if server:
-            _stop(server.process)
+    for names in (("deployments",), ("mlflow", "prefect")):
+        there = {name: server.process for name in names if (server := running.find(name))}
+        _stop(list(there.values()))
+        for name in names:
+            pid_file(name).unlink(missing_ok=True)
+        for name in there:
             progress.say(f"{name}: stopped")
-        pid_file(name).unlink(missing_ok=True)
 
 
 def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[Server]:
@@ -97,7 +103,7 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[
     }
     serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
     ui = [str(binaries / "mlflow"), "server", "--host", host, "--port", str(mlflow_port), "--workers", "1",
-          "--backend-store-uri", f"sqlite:///{Path('mlflow.db').absolute()}",
+          "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
           "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
     return [
         Server(
@@ -161,10 +167,11 @@ def _free(address: str, port: int) -> bool:
         return probe.connect_ex((address.removeprefix("http://").rsplit(":", 1)[0], port)) != 0
 
 
-def _stop(process: psutil.Process) -> None:
-    """Ask it and its children to end, and make those that do not."""
-    family = [process, *process.children(recursive=True)]
-    process.send_signal(signal.SIGTERM)
+def _stop(processes: Sequence[psutil.Process]) -> None:
+    """Ask them and their children to end, and make those that do not."""
+    family = [member for process in processes for member in (process, *process.children(recursive=True))]
+    for process in processes:
+        process.send_signal(signal.SIGTERM)
     _, left = psutil.wait_procs(family, timeout=_STOP_S)
     for member in left:
         member.terminate()

@@ -1,16 +1,22 @@
 """How a stage is started from the command line: `python -m flows.<stage> SOURCE`."""
 
 import argparse
+import fcntl
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx
+
 from simgap.types import SimgapError
-from tasks import progress
+from tasks import files, progress
 from tasks.params import load_params, read_yaml
 
 PARAMS = Path("params.yaml")
+FOLDERS = [Path(name) for name in ("data", "models", "scores", "policies", "tracks", "reports")]
+"""What stages write to in the project."""
 
 
 def main(run: Callable[..., Any]) -> None:
@@ -22,7 +28,25 @@ def main(run: Callable[..., Any]) -> None:
     parser.add_argument("source", help="a block of params.yaml's recordings, such as virtual or spot")
     add_overrides(parser)
     arguments = parser.parse_args()
+    for folder in FOLDERS:
+        files.remove_unfinished(folder)
     guarded(lambda: run(arguments.source, load_params(PARAMS, *read_overrides(arguments)), Path()))
+
+
+@contextmanager
+def alone(root: Path) -> Iterator[None]:
+    """Hold a run's folder, and clear it of what a killed run was writing; SimgapError where another process works in
+    it."""
+    files.make_folder(root)
+    with (root / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SimgapError(
+                f"{root}: another run of this name is at work there. Wait for it, or give this one another name."
+            ) from None
+        files.remove_unfinished(root)
+        yield
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
@@ -36,10 +60,18 @@ def read_overrides(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def guarded(work: Callable[[], Any]) -> None:
-    """Call `work`; an error that explains itself is printed and ends the process with status 1."""
+    """Call `work`; an error that explains itself, or a Prefect server that is gone, ends the process with status 1."""
     progress.quiet_libraries()
     try:
         work()
     except SimgapError as error:
         progress.say(f"error: {error}")
+        sys.exit(1)
+    except (httpx.HTTPError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and not str(error).startswith("Failed to reach API"):  # Prefect's own words
+            raise
+        progress.say(
+            f"error: Prefect's server does not answer ({error or type(error).__name__}). What is finished is kept. "
+            "Start the server (`make up`), or unset PREFECT_API_URL, and give the same command again."
+        )
         sys.exit(1)

@@ -1,9 +1,6 @@
 """A sweep: models, N, seeds and hyperparameters of one's choice, on recordings of one's choice; in `sweeps/<name>/`."""
 
-import fcntl
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +10,7 @@ from prefect.runtime import flow_run
 from flows import provenance, transitions
 from flows import recordings as recordings_flow
 from flows.fan_out import Place
-from flows.start import PARAMS
+from flows.start import PARAMS, alone
 from flows.train import told, train_cells
 from simgap.types import SimgapError
 from tasks import artifacts, files, forms, progress, score, sweep, tracking
@@ -99,26 +96,13 @@ def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: tracking.Sto
     """The results as a table and links in Prefect's pages and in the terminal."""
     linked = sweep.table(rows, lambda row: f"[MLflow]({tracking.link(store, row.run_id)})")
     artifacts.table("sweep-results", linked, f"Sweep {name}, best first. Best: {best.title}.")
-    side_by_side = {"compare": tracking.compare(store, "sweep", name)} if store.pages else {}
-    places = {"MLflow": tracking.link(store, parent.run_id), **side_by_side, "folder": str(forms.folder(name))}
+    places = {"MLflow": tracking.link(store, parent.run_id),
+              "compare": tracking.compare(store, name, f"tags.sweep = '{name}'", tracking.MODELS),
+              "folder": str(forms.folder(name))}  # fmt: skip
     artifacts.links("sweep-links", places, f"Sweep {name}")
     progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))
-    progress.say("\n".join(f"{what:8}{place}" for what, place in places.items()))
+    progress.say("\n".join(f"{what:8}{place}" for what, place in places.items() if place))
     progress.say(f"{'best':8}models:/{sweep.REGISTERED}@{name}   ({best.title})")
-
-
-@contextmanager
-def alone(root: Path) -> Iterator[None]:
-    """Hold a run's folder; SimgapError where another process works in it."""
-    files.make_folder(root)
-    with (root / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise SimgapError(
-                f"{root}: another run of this name is at work there. Wait for it, or give this one another name."
-            ) from None
-        yield
 
 
 def start(name: str, arguments: dict[str, Any]) -> None:

@@ -1,9 +1,13 @@
-"""What a flow run shows in Prefect's pages beside its log: how far it is, a table, links."""
+"""What a flow run shows in Prefect's pages beside its log: how far it is, a table, links.
 
-from collections.abc import Sequence
+A server that is gone costs the pages these, and the run nothing.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import Any
 from uuid import UUID
 
+import httpx
 from prefect.artifacts import (
     create_markdown_artifact,
     create_progress_artifact,
@@ -11,19 +15,22 @@ from prefect.artifacts import (
     update_progress_artifact,
 )
 
+from tasks import progress
+
 
 class Progress:
     """How many of so many pieces are done, as the flow run's progress."""
 
     def __init__(self, what: str, total: int) -> None:
         self._what, self._total = what, total
-        made = create_progress_artifact(progress=0.0, description=self._told(0))
+        made = _told(lambda: create_progress_artifact(progress=0.0, description=self._told(0)))
         self._id = made if isinstance(made, UUID) else None
 
     def done(self, count: int) -> None:
         """So many are done by now."""
-        if self._id:
-            update_progress_artifact(self._id, 100.0 * count / self._total, self._told(count))
+        told, made = 100.0 * count / self._total, self._id
+        if made:
+            _told(lambda: update_progress_artifact(made, told, self._told(count)))
 
     def _told(self, count: int) -> str:
         return f"{self._what}: {count} of {self._total}"
@@ -31,11 +38,20 @@ class Progress:
 
 def table(key: str, rows: Sequence[dict[str, Any]], description: str) -> None:
     """Rows of the same keys as a table; Markdown in a value, such as a link, is shown as such."""
-    create_table_artifact(table=list(rows), key=key, description=description)
+    _told(lambda: create_table_artifact(table=list(rows), key=key, description=description))
 
 
 def links(key: str, places: dict[str, str], description: str) -> None:
-    """Where things are: words and addresses or paths."""
+    """Where things are: words and addresses or paths; an empty one is left out."""
     lines = [f"- {what}: {f'[{place}]({place})' if place.startswith('http') else f'`{place}`'}"
-             for what, place in places.items()]  # fmt: skip
-    create_markdown_artifact(markdown="\n".join([description, "", *lines]), key=key)
+             for what, place in places.items() if place]  # fmt: skip
+    _told(lambda: create_markdown_artifact(markdown="\n".join([description, "", *lines]), key=key))
+
+
+def _told(tell: Callable[[], Any]) -> Any:
+    """What telling Prefect's server gives; None where the server is gone, which is said."""
+    try:
+        return tell()
+    except httpx.HTTPError as error:
+        progress.say(f"warning: Prefect's pages were not told ({error or type(error).__name__}); the work goes on.")
+        return None

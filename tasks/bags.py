@@ -52,9 +52,11 @@ def _mcap(path: Path, topics: Set[str]) -> Iterator[Message]:
                 if channel.id not in decoders:
                     decoders[channel.id] = DecoderFactory().decoder_for(channel.message_encoding, schema)
                 if decoders[channel.id] is None:
+                    defined = schema.encoding if schema and schema.encoding else "no language"
                     raise RecordingError(
-                        f"{path}: the topic {channel.topic} has messages in {channel.message_encoding}; JSON and ROS 2 "
-                        "messages with their definitions (ros2msg) are read. Convert the bag."
+                        f"{path}: the topic {channel.topic} has messages in {channel.message_encoding}, defined in "
+                        f"{defined}; JSON, and ROS 2 messages in cdr with their definitions in ros2msg, as `ros2 bag "
+                        "record` writes them, are read. Convert the bag, or record it so."
                     )
                 content = decoders[channel.id](message.data)
             yield Message(channel.topic, message.log_time, content)

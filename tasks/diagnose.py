@@ -11,7 +11,7 @@ from prefect import task
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
 from simgap.types import Recording, RecordingError, Schema, StepModel
-from tasks import files, tracking
+from tasks import files, fingerprint, tracking
 from tasks.diagnosis_page import page
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
@@ -90,23 +90,27 @@ def find(simulator: StepModel, name: str, sessions: Sessions, seed: int, say: Ca
 
 @task(task_run_name="write-{folder.name}")
 def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
-    """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for."""
-    files.write_json(folder / STATEMENT, found.statement)
+    """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for.
+
+    The statement goes first and comes last: where it is, all else is of the same diagnosis.
+    """
+    for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
+        (folder / name).unlink(missing_ok=True)
     constants = found.model._asdict()
     scales = files.scale_arrays(constants.pop("scales"))
     files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)
-    if found.experiment is None:
-        (folder / EXPERIMENT).unlink(missing_ok=True)
-    else:
+    if found.experiment is not None:
         columns = ("time_s", *(f.name for f in schema.command))
         rows = np.column_stack(found.experiment)
         files.write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
     files.write_text(folder / PAGE, page(found.statement, found.evidence))
+    files.write_json(folder / STATEMENT, found.statement)
 
 
 @task(task_run_name="log-recordings-{name}", retries=1)
 def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
     """What is diagnosed, before it is: a run that fails says as much."""
+    run.tags({"config": fingerprint.configuration_of_diagnosis(name, folders, seed)})
     run.params(
         {
             "simulator": name,

@@ -11,6 +11,7 @@ import math
 import os
 import pickle
 import shutil
+import socket
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -19,6 +20,7 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
+import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float
@@ -37,6 +39,8 @@ PICKLE_LIMIT = 64 * 2**20
 """Greatest size of a pickle that is opened [bytes]; the published ones stay below 0.2 MB."""
 
 _Columns = dict[str, Float[np.ndarray, " T"]]
+_OWNER = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+"""Begins the names of files that are being written: on a shared disk, processes of other machines write too."""
 _TEXT_SHOWN = 40  # characters of a file's own text in a message
 
 
@@ -88,6 +92,11 @@ def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
         # The checksum tells a damaged value from a measured one when the file is read.
         pq.write_table(table, temporary, write_page_checksum=True)
     return path
+
+
+def session_names(folder: Path) -> list[str]:
+    """Names of the sessions under a folder, whether they can be used or not."""
+    return [path.relative_to(folder).with_suffix("").as_posix() for path in _session_files(folder, ("**/*",))]
 
 
 def _relative_name(name: str) -> str:
@@ -592,6 +601,13 @@ def make_folder(folder: Path) -> None:
         ) from None
 
 
+def remove_unfinished(folder: Path) -> None:
+    """Delete what processes of this machine that are gone were writing in a folder when they were killed."""
+    for path in folder.rglob(f".{_OWNER}-*.tmp"):
+        if not psutil.pid_exists(int(path.name.split("-")[1])):
+            path.unlink(missing_ok=True)
+
+
 def remove_folder(folder: Path) -> None:
     """Delete a folder with all that is in it, if it is there."""
     if folder.exists():
@@ -605,7 +621,7 @@ def _missing(path: Path) -> str:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to, which takes its place when all went well and is deleted otherwise."""
-    temporary = path.with_name(f".{uuid4().hex}.tmp")
+    temporary = path.with_name(f".{_OWNER}-{os.getpid()}-{uuid4().hex}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary

@@ -65,6 +65,11 @@ def configuration_of_policy(cell: Cell, params: PolicyParams) -> str:
     return _mark({"cell": cell, "params": relevant_policy_params(params)})
 
 
+def configuration_of_diagnosis(simulator: str, folders: Sequence[Path | None], seed: int) -> str:
+    """The same for a diagnosis, of a simulator by its name and of recordings by their folders."""
+    return _mark({"simulator": simulator, "folders": [str(folder) for folder in folders], "seed": seed})
+
+
 def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
     """Identifies what the diagnosis of a share of the recordings depends on."""
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})

@@ -115,6 +115,8 @@ def quiet_libraries() -> None:
     """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks of explained errors."""
     for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    # That a server is gone is told once; this would tell it again for every try.
+    logging.getLogger("urllib3").setLevel(logging.ERROR)
     for name in ("prefect.flow_runs", "prefect.task_runs"):
         logging.getLogger(name).addFilter(_needs_a_traceback)
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from prefect import task
 from pydantic import BaseModel
 
-from tasks import files, forms, report, tracking, train
+from tasks import files, forms, report, score, tracking, train
 from tasks.params import Params
 from tasks.workspace import Cell, Workspace
 
@@ -68,6 +68,17 @@ def register_best(rows: Sequence[Row], name: str, store: tracking.Store) -> Row:
     run.register(REGISTERED, [name, "newest"], {"cell": best.title, "nll": f"{best.scores['nll']:.4f}"})
     run.tags({"best_of": name})
     return best
+
+
+def rows(workspace: Workspace, store: tracking.Store) -> list[Row]:
+    """The rows that the stage `score` wrote, each with its model's latest run."""
+    found = []
+    for scores in score.load(workspace):
+        cell = Cell(*(scores[name] for name in Cell._fields))
+        mark = {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]}
+        run = tracking.latest_run(store, mark)
+        found.append(Row(workspace, cell, scores, run.run_id if run else ""))
+    return found
 
 
 def table(rows: Sequence[Row], link: Callable[[Row], str]) -> list[dict[str, Any]]:

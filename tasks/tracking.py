@@ -30,6 +30,7 @@ from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
 from mlflow.models import Model, ModelSignature
+from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
 from sqlalchemy.exc import SQLAlchemyError
@@ -49,8 +50,14 @@ ERROR = "error"
 
 # The pages open in a mode for language models otherwise.
 _TRAINING, _KIND, _TRAINING_KIND = "?workflowType=machine_learning", "mlflow.experimentKind", "custom_model_development"
-_COLUMNS = ("metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`seconds`",
+MODELS = ("metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`seconds`",
+          "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`")  # fmt: skip
+POLICIES = ("metrics.`helix/mean_error`", "metrics.`ellipse/mean_error`", "metrics.`return`", "metrics.`lost`",
             "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`")  # fmt: skip
+DIAGNOSES = ("metrics.`augmented/nll_1`", "metrics.`refitted/nll_1`", "metrics.`black_box/nll_1`", "tags.`verdict`",
+             "tags.`effects`", "params.`simulator`", "params.`transitions`", "tags.`config`")  # fmt: skip
+"""Columns one wants where runs stand side by side, in the order of the first; see `compare`."""
+
 _HOST, _PID = "simgap.host", "simgap.pid"
 _POINTS = 100  # a curve's, more than a plot shows
 _PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
@@ -139,7 +146,23 @@ def open_store(root: Path, experiment: str, uri: str | None = None, pages: str =
     artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
     with (root / "mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        if _plain_file(uri):
+            make_database(Path(uri.removeprefix("sqlite:///")), root / "mlruns")
         return Store(uri, experiment, _experiment_id(_Client(uri), experiment, artifacts), pages)
+
+
+def make_database(path: Path, artifacts: Path) -> None:
+    """MLflow's tables in SQLite, if the file is not there; made beside it and put in its place whole.
+
+    MLflow's migrations, killed midway, leave a database that no start mends.
+    """
+    if path.exists():
+        return
+    new = path.with_name(f"{path.name}.new")
+    with _explaining(f"sqlite:///{path}"):
+        new.unlink(missing_ok=True)
+        SqlAlchemyStore(f"sqlite:///{new}", artifacts.as_uri()).engine.dispose()
+        new.replace(path)
 
 
 def _experiment_id(client: Any, name: str, artifacts: str | None) -> str:
@@ -390,14 +413,16 @@ def link(store: Store, run_id: str) -> str:
     return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
 
 
-def compare(store: Store, tag: str, value: str) -> str:
-    """Where the runs with this tag stand side by side in the pages, best first, with the columns one wants."""
-    state = {"searchFilter": f"tags.{tag} = '{value}'", "selectedColumns": _COLUMNS, "orderByKey": _COLUMNS[0],
-             "orderByAsc": True}  # fmt: skip
+def compare(store: Store, view: str, query: str, columns: Sequence[str]) -> str:
+    """Where the runs that a query finds stand side by side in the pages, as the view of this name: these columns, the
+    least value of the first on top; empty where no pages are served."""
+    if not store.pages:
+        return ""
+    state = {"searchFilter": query, "selectedColumns": columns, "orderByKey": columns[0], "orderByAsc": True}
     # As the pages' own button for sharing a view writes it.
     packed = "deflate;" + base64.b64encode(zlib.compress(json.dumps(state).encode())).decode()
-    store.client.set_experiment_tag(store.experiment_id, f"mlflow.sharedViewState.{value}", packed)
-    return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={value}"
+    store.client.set_experiment_tag(store.experiment_id, f"mlflow.sharedViewState.{view}", packed)
+    return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={view}"
 
 
 def _without_password(uri: str) -> str:

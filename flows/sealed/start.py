@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from flows.start import add_overrides, guarded, read_overrides
-from tasks import fingerprint
+from tasks import files, fingerprint
 from tasks.params import load_sealed
 from tasks.sealed.conceal import SUITES
 
 PARAMS = Path("sealed/params.yaml")
+FOLDERS = ("data/sealed", "keys", "examinations", "reports/sealed")
+"""What sealed stages write to."""
 
 
 def main(run: Callable[..., Any]) -> None:
@@ -21,4 +23,6 @@ def main(run: Callable[..., Any]) -> None:
     add_overrides(parser)
     arguments = parser.parse_args()
     fingerprint.diagnosing_code()
+    for folder in FOLDERS:
+        files.remove_unfinished(arguments.workspace / folder)
     guarded(lambda: run(arguments.suite, load_sealed(PARAMS, *read_overrides(arguments)), arguments.workspace))

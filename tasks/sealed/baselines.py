@@ -102,7 +102,7 @@ def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
     mean = lambda values: float(np.mean(values)) if len(values) else np.nan  # noqa: E731
     wrong = lambda name: mean([r[name] for r in nulls])  # noqa: E731
     right = lambda name: mean([r[name] for r in known])  # noqa: E731
-    shares = lambda name: float(np.nanmedian([r[name] for r in rows if name in r] or [np.nan]))  # noqa: E731
+    shares = lambda name: _median([r[name] for r in rows if name in r])  # noqa: E731
     ours = {"method": "diagnosis", "false alarms on nulls": 1 - wrong("right_verdict"),
             "right name": right("top1"), "share of improvement, 50 steps": shares("share")}  # fmt: skip
     refit = {"method": "refit of the parameters", "false alarms on nulls": 0.0, "right name": 0.0,
@@ -112,3 +112,9 @@ def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
     box = {"method": "black box", "false alarms on nulls": np.nan, "right name": 0.0,
            "share of improvement, 50 steps": shares("share_black_box")}  # fmt: skip
     return [ours, refit, sindy, box]
+
+
+def _median(values: Sequence[float]) -> float:
+    """Of those that are numbers; nan where none is."""
+    found = [v for v in values if not np.isnan(v)]
+    return float(np.median(found)) if found else np.nan

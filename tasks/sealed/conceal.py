@@ -58,6 +58,7 @@ def write(
             made = _real(draw, case_draw, real())
         case name:
             made = _suite(params, name, draw, case_draw)
+    workspace.manifest.unlink(missing_ok=True)  # first and last: without it there is no suite, whole or in part
     for folder in (workspace.data, workspace.keys):
         files.remove_folder(folder)
     names = suite.names(len(made), name_draw)

@@ -33,15 +33,30 @@ def chosen(manifest: dict[str, Any], params: ExamineParams) -> list[str]:
 
 def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> str:
     """Identifies what a diagnosis depends on: the recordings, the seed and the diagnosing code."""
-    recorded = files.digest(sorted((workspace.cases / case).rglob("*.csv")))
+    sessions = sorted((workspace.cases / case).rglob("*.csv"))
+    if not sessions:
+        raise SimgapError(f"{workspace.cases / case}: there are no recordings of this case. Run the stage `conceal`.")
+    recorded = files.digest(sessions)
     return f"{code[:16]}-{recorded}-{seed}"
 
 
 def finished(workspace: SealedWorkspace, case: str, mark: str) -> bool:
-    """Whether the case was diagnosed with the same code; one that failed is tried again."""
-    path = workspace.record(case)
-    record = files.read_json(path) if path.exists() else {}
-    return record.get("fingerprint") == mark and record.get("error") is None and workspace.statement(case).exists()
+    """Whether the case was diagnosed with the same code; one that failed or left no whole files is tried again."""
+    record = _whole(workspace.record(case)) or {}
+    return (
+        record.get("fingerprint") == mark
+        and record.get("error") is None
+        and _whole(workspace.statement(case)) is not None
+    )
+
+
+def _whole(path: Path) -> dict[str, Any] | None:
+    """What a record or a statement holds; None where there is none, or a damaged one."""
+    try:
+        found = files.read_json(path)
+    except SimgapError:
+        return None
+    return found if isinstance(found, dict) else None
 
 
 class Examiner:
@@ -102,11 +117,16 @@ def examine_case(
     return error
 
 
-def remove_stale(workspace: SealedWorkspace, marks: dict[str, str]) -> None:
-    """Forget cases that the suite does not have, or had with other recordings or other code."""
+def remove_stale(workspace: SealedWorkspace, marks: dict[str, str]) -> list[str]:
+    """Forget cases that the suite does not have, or had with other recordings or other code, and those of which a file
+    is damaged; returns the names of the damaged ones."""
+    damaged = []
     if workspace.examinations.exists():
-        for folder in workspace.examinations.iterdir():
-            record = workspace.record(folder.name)
-            known = files.read_json(record).get("fingerprint") if record.exists() else None
-            if folder.is_dir() and (known is None or known != marks.get(folder.name)):
-                files.remove_folder(folder)
+        for folder in sorted(p for p in workspace.examinations.iterdir() if p.is_dir()):
+            paths = (workspace.record(folder.name), workspace.statement(folder.name))
+            if any(path.exists() and _whole(path) is None for path in paths):
+                damaged.append(folder.name)
+            elif (_whole(paths[0]) or {}).get("fingerprint") == marks.get(folder.name, ""):
+                continue
+            files.remove_folder(folder)
+    return damaged

@@ -4,7 +4,11 @@ import importlib
 import importlib.util
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
+
+import yaml
 
 from flows import deployments, sweep
 from flows.command import parser
@@ -120,3 +124,36 @@ def test_the_flows_of_the_deployments_have_a_description() -> None:
         described = flow.parameters.properties
         assert described
         assert all(entry.get("description") or "$ref" in entry for entry in described.values()), flow.name
+
+
+def test_the_batch_file_for_slurm_is_bash() -> None:
+    (script,) = re.findall(r"```bash\n(#!/bin/bash\n.*?)```", (ROOT / "docs" / "scaling.md").read_text(), re.DOTALL)
+    done = subprocess.run(["bash", "-n"], input=script, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_parts_for_kubernetes_fit_together() -> None:
+    """No cluster has run them: they are read, and what refers to another part finds it."""
+    parts = list(yaml.safe_load_all((ROOT / "examples" / "kubernetes.yaml").read_text()))
+    named = {(part["kind"], part["metadata"]["name"]): part for part in parts}
+    assert len(named) == len(parts)
+    pods = [part["spec"]["template"] for part in parts if "template" in part.get("spec", {})]
+    labels = [pod["metadata"]["labels"] for pod in pods if "metadata" in pod]
+    for part in parts:
+        if part["kind"] == "Deployment":
+            assert part["spec"]["selector"]["matchLabels"] == part["spec"]["template"]["metadata"]["labels"]
+        if part["kind"] == "Service":
+            assert part["spec"]["selector"] in labels
+            assert part["metadata"]["name"] == part["spec"]["selector"]["app"]
+    for pod in pods:
+        claims = {v["name"]: v["persistentVolumeClaim"]["claimName"] for v in pod["spec"]["volumes"]}
+        assert all(("PersistentVolumeClaim", claim) in named for claim in claims.values())
+        for container in pod["spec"]["containers"]:
+            assert {mount["name"] for mount in container["volumeMounts"]} <= set(claims)
+            assert all(("ConfigMap", e["configMapRef"]["name"]) in named for e in container.get("envFrom", []))
+            assert all(isinstance(word, str) for word in container["command"])
+            program = container["command"][0].removeprefix(".venv/bin/")
+            assert (Path(sys.executable).parent / program).exists(), program
+    served = {part["metadata"]["name"]: part["spec"]["ports"][0]["port"] for part in parts if part["kind"] == "Service"}
+    addresses = re.findall(r"\w+://([a-z-]+):(\d+)", " ".join(named["ConfigMap", "simgap"]["data"].values()))
+    assert {name: int(port) for name, port in addresses} == served

@@ -22,6 +22,7 @@ from conftest import free_port
 from mlflow import MlflowClient
 from test_pipeline import TINY
 
+from examples.record import record
 from tasks import tracking
 from tasks.params import load_params
 
@@ -175,14 +176,20 @@ def test_a_wrong_value_in_the_form_is_refused_and_named(place: Place, parameters
     assert words in error.value.read().decode()
 
 
-def test_cancelling_ends_the_work_and_leaves_nothing_running(place: Place) -> None:
+def start_long(place: Place, name: str) -> str:
+    """A sweep that trains for hours, when it trains."""
     long = {"sim_model": {"training_steps": [10_000_000], "evaluate_every": [1000]}}
-    status, output = place.run("prefect", "deployment", "run", "sweep/full", "--flow-run-name", "long", "--param",
+    status, output = place.run("prefect", "deployment", "run", "sweep/full", "--flow-run-name", name, "--param",
                                f"hyperparameters={json.dumps(long)}")  # fmt: skip
     assert status == 0, output
     flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
     trained = {"flow_runs": {"id": {"any_": [flow_run]}}, "task_runs": {"name": {"like_": "sim_model-"}}}
     wait_for(lambda: [t for t in place.api("task_runs/filter", trained) if t["state"]["name"] == "Running"], 300)
+    return flow_run
+
+
+def test_cancelling_ends_the_work_and_leaves_nothing_running(place: Place) -> None:
+    flow_run = start_long(place, "long")
     place.api(f"flow_runs/{flow_run}/set_state", {"state": {"type": "CANCELLING", "name": "Cancelling"}})
     place.until(flow_run, {"Cancelled"}, 60)
     workers = [p for p in processes(place) if any("prefect.engine" in part for part in p.cmdline())]
@@ -271,7 +278,6 @@ def test_mlflow_shows_the_runs_side_by_side(place: Place, browser: Any, swept: t
     client, runs = place.client(), place.runs("from-the-form")
     cells = [run for run in runs if "mlflow.parentRunId" in run.data.tags]
     assert len({run.data.tags["config"] for run in cells}) == 2
-    store = tracking.open_store(place.folder, "model-validation", pages=place.mlflow)
     artifacts = place.api("artifacts/filter", {"artifacts": {"key": {"any_": ["sweep-links"]}}})
     (address,) = re.findall(r"\((http[^)]*viewStateShareKey=[^)]*)\)", artifacts[0]["data"])
     browser.goto(address)
@@ -279,8 +285,12 @@ def test_mlflow_shows_the_runs_side_by_side(place: Place, browser: Any, swept: t
         browser.get_by_text(name, exact=True).first.wait_for()
     browser.get_by_label("Close").last.click()  # an assistant that nobody called
     picture(browser, "mlflow_runs", pictures)
-    ids = json.dumps([run.info.run_id for run in cells])
-    browser.goto(f"{place.mlflow}/#/compare-runs?runs={ids}&experiments={json.dumps([store.experiment_id])}")
+    for run in cells:
+        row = browser.locator("[role=row]").filter(has_text=str(run.info.run_name))
+        row.locator("input[type=checkbox]").first.check(force=True)
+    browser.get_by_role("button", name="Compare", exact=True).wait_for()
+    picture(browser, "mlflow_select", pictures)
+    browser.get_by_role("button", name="Compare", exact=True).click()
     browser.get_by_text("Comparing 2 Runs").first.wait_for()
     browser.get_by_text("Parallel Coordinates Plot").first.wait_for()
     picture(browser, "mlflow_compare", pictures)
@@ -326,6 +336,29 @@ def test_a_diagnosis_is_read_in_mlflow(place: Place, browser: Any, swept: tuple[
     picture(browser, "mlflow_diagnosis", swept[1])
 
 
+def test_a_diagnosis_is_started_and_compared_with_others_of_its_recordings(place: Place) -> None:
+    record("drive", place.folder / "data" / "rail", sessions=3, seconds=20.0, seed=0)
+    form = {"recordings": "data/rail", "simulator": "examples.drive:DRIVE"}
+    given = [part for name, value in form.items() for part in ("--param", f"{name}={value}")]
+    status, output = place.run("prefect", "deployment", "run", "diagnose/any", "--flow-run-name", "rail", *given)
+    assert status == 0, output
+    flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
+    state = place.until(flow_run, {"Completed", "Failed", "Crashed"}, 400)
+    assert state["name"] == "Completed", (state, place.log())
+    found = json.loads((place.folder / "sweeps" / "rail" / "diagnosis.json").read_text())
+    (links,) = place.api("artifacts/filter", {"artifacts": {"key": {"any_": ["diagnosis-links"]}}})
+    assert found["statement"] in links["data"]
+    assert "sweeps/rail/diagnosis.html" in links["data"]
+    assert f"{place.mlflow}/#/experiments/" in links["data"]
+    assert "viewStateShareKey=rail" in links["data"]
+    client = place.client()
+    experiment = client.get_experiment_by_name("diagnosis")
+    assert experiment is not None
+    (run,) = client.search_runs([experiment.experiment_id], "params.recordings = 'data/rail'")
+    assert run.data.tags["verdict"] == found["verdict"]
+    assert re.fullmatch("[0-9a-f]{16}", run.data.tags["config"])
+
+
 @pytest.mark.usefixtures("swept")
 def test_no_page_asks_anything_of_another_machine() -> None:
     assert len(ASKED) > 50
@@ -334,11 +367,15 @@ def test_no_page_asks_anything_of_another_machine() -> None:
 
 
 def test_down_stops_all_of_it_and_nothing_else(place: Place) -> None:
-    """The last test of the file: nothing is up after it."""
+    """The last test of the file: nothing is up after it; a run under way is cancelled and told of, not left to be
+    killed."""
+    start_long(place, "under-way")
     before, mine = processes(place), psutil.Process(os.getpid())
     status, output = place.run("python", "-m", "flows.servers", "down")
     assert (status, output.count("stopped")) == (0, 3), output
     assert not [p for p in before if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
     assert mine.is_running()
+    assert "Flow run 'under-way' - Flow run was cancelled." in place.log()
+    assert {run.info.status for run in place.runs("under-way")} == {"KILLED"}
     assert not list((place.folder / "logs").glob("*.pid"))
     assert place.run("python", "-m", "flows.servers", "down") == (0, "")

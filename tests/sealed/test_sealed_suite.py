@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,10 @@ from flows.sealed import conceal, examine, score
 from simgap.types import SimgapError
 from tasks import files
 from tasks.params import SealedParams, load_sealed
+from tasks.sealed import baselines
 from tasks.sealed.conceal import seed_of
+from tasks.sealed.examine import fingerprint, remove_stale
+from tasks.sealed.examine import finished as examined_before
 from tasks.sealed.workspace import SealedWorkspace
 
 ROOT = Path(__file__).parents[2]
@@ -35,12 +39,15 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) ->
 
 @pytest.fixture(scope="module")
 def examined(workspace: SealedWorkspace, params: SealedParams) -> SealedWorkspace:
-    """After `examine`, twice, where one of the two cases cannot be read: it fails, and loses no other."""
+    """After `examine`, twice, where one of the two cases cannot be read: it fails, and loses no other, even where its
+    record was damaged in between."""
     damaged, other = sorted(workspace.cases.iterdir())
     session = damaged / "a.csv"
     session.write_text(session.read_text().replace("cmd_ee_vz", "nothing"))
     diagnosed = set()
-    for _ in range(2):
+    for record_damaged in (False, True):
+        if record_damaged:
+            workspace.record(damaged.name).write_text('{"fingerpr')
         with pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged.name}.*cmd_ee_vz is missing"):
             examine.run("development", params, workspace.root)
         assert files.read_json(workspace.record(other.name))["error"] is None
@@ -48,6 +55,32 @@ def examined(workspace: SealedWorkspace, params: SealedParams) -> SealedWorkspac
     assert len(diagnosed) == 1  # it is not done again
     session.write_text(session.read_text().replace("nothing", "cmd_ee_vz"))
     return workspace
+
+
+@pytest.mark.parametrize("name", ["record.json", "diagnosis.json"])
+@pytest.mark.parametrize("damage", ['{"fing', "[1]", ""])
+def test_a_damaged_examination_is_done_again(tmp_path: Path, name: str, damage: str) -> None:
+    workspace, marks = SealedWorkspace(tmp_path, "development"), {"a": "mark", "b": "mark", "c": "mark"}
+    for case in ("a", "b", "gone"):
+        files.write_json(workspace.record(case), {"fingerprint": "mark", "seconds": 1.0, "error": None})
+        files.write_json(workspace.statement(case), {})
+    (workspace.examinations / "b" / name).write_text(damage)
+    assert not examined_before(workspace, "b", "mark")
+    assert remove_stale(workspace, marks) == ["b"]
+    assert [case for case in marks if examined_before(workspace, case, "mark")] == ["a"]
+    assert [folder.name for folder in workspace.examinations.iterdir()] == ["a"]
+
+
+def test_a_case_without_recordings_is_told_of(tmp_path: Path) -> None:
+    with pytest.raises(SimgapError, match="a: there are no recordings of this case"):
+        fingerprint(SealedWorkspace(tmp_path, "development"), "a", 0, "code")
+
+
+def test_baselines_without_a_share_have_none(recwarn: pytest.WarningsRecorder) -> None:
+    null = {"kind": "null", "strength": 0.0, "right_verdict": True, "sindy_claims": False, "share": math.nan}
+    ours, *_ = baselines.table([null])
+    assert math.isnan(ours["share of improvement, 50 steps"])
+    assert not recwarn.list
 
 
 def test_names_and_hashes_are_published_and_nothing_else(workspace: SealedWorkspace) -> None:

@@ -11,17 +11,20 @@ import sqlite3
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import mlflow.pyfunc
 import numpy as np
 import pytest
+from prefect import flow
+from prefect.settings import PREFECT_API_URL, temporary_settings
 
-from flows.sweep import alone
+from flows.start import alone, guarded
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks import files, tracking
+from tasks import artifacts, files, tracking
 
 ROOT = Path(__file__).parents[2]
 ARRAYS = {"a": np.arange(1000.0)}
@@ -60,9 +63,18 @@ def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) 
     np.testing.assert_array_equal(files.load_arrays(path)["a"], ARRAYS["a"])
     left = [p.name for p in path.parent.iterdir() if p != path]
     assert [name for name in left if not (name.startswith(".") and name.endswith(".tmp"))] == []
-    (path.parent / left[0]).rename(path.parent / ".session.csv.tmp")
+    assert len(left) == 1
     with pytest.raises(SimgapError, match="no file matches"):
         files.read_recordings(path.parent, SCHEMA, 0.1)
+    under_way = path.parent / left[0].replace(f"-{done_by(left[0])}-", f"-{os.getpid()}-")
+    under_way.touch()
+    files.remove_unfinished(tmp_path)
+    assert {p.name for p in path.parent.iterdir()} == {path.name, under_way.name}
+
+
+def done_by(name: str) -> str:
+    """The process that wrote a file that is not finished."""
+    return name.split("-")[1]
 
 
 def test_a_file_where_a_folder_must_be_is_told_of(tmp_path: Path) -> None:
@@ -107,6 +119,7 @@ def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with its tables, which take seconds to make."""
     folder = tmp_path_factory.mktemp("store")
+    (folder / "mlflow.db.new").write_bytes(b"what a start killed while it made the tables leaves")
     tracking.open_store(folder, "grid")
     return folder
 
@@ -151,13 +164,34 @@ def test_a_read_only_store_is_told_of(root: Path) -> None:
         logged(tracking.open_store(root, "grid", uri))
 
 
-def test_a_server_that_is_gone_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_is_gone_is_told_of(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    with pytest.raises(tracking.StoreError, match=f"{nobody} refused .* start again"):
+        logged(tracking.Store(nobody, "grid", "1"))
+
+
+@pytest.fixture
+def nobody() -> Iterator[str]:
+    """An address at which nobody answers: bound, and not listened to."""
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound and not listening: nobody answers there
-        uri = f"http://127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(tracking.StoreError, match=f"{uri} refused .* start again"):
-            logged(tracking.Store(uri, "grid", "1"))
+        taken.bind(("127.0.0.1", 0))
+        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
+
+
+def test_a_prefect_server_that_is_gone_costs_the_pages_alone(nobody: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with temporary_settings({PREFECT_API_URL: f"{nobody}/api"}):
+        progress = artifacts.Progress("cells", 2)
+        progress.done(1)
+        artifacts.table("results", [{"nll": 1.0}], "Results")
+    assert capsys.readouterr().out.count("warning: Prefect's pages were not told") == 2
+
+
+def test_a_flow_without_its_prefect_server_says_so(nobody: str, capsys: pytest.CaptureFixture[str]) -> None:
+    worked = []
+    with temporary_settings({PREFECT_API_URL: f"{nobody}/api"}), pytest.raises(SystemExit) as ended:
+        guarded(flow(lambda: worked.append(1), name="any"))
+    assert (ended.value.code, worked) == (1, [])
+    assert "error: Prefect's server does not answer" in capsys.readouterr().out
 
 
 def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

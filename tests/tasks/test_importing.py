@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -91,12 +92,12 @@ def messages() -> list[tuple[int, str, dict[str, Any]]]:
     return found
 
 
-def write_mcap(path: Path) -> None:
+def write_mcap(path: Path, encoding: str = "json") -> None:
     with path.open("wb") as file:
         writer = McapWriter(file)
         writer.start()
         schema = writer.register_schema("any", "jsonschema", b"{}")
-        channels = {t: writer.register_channel(t, "json", schema) for t in ("/odom", "/hand", "/cmd")}
+        channels = {t: writer.register_channel(t, encoding, schema) for t in ("/odom", "/hand", "/cmd")}
         for ns, topic, content in messages():
             writer.add_message(channels[topic], ns, json.dumps(content).encode(), ns)
         writer.finish()
@@ -116,6 +117,14 @@ def write_ros2(path: Path, storage: StoragePlugin) -> None:
                 layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
                 made = types[kinds[topic]](layout=layout, data=np.array(content["data"]))
             writer.write(connections[topic], ns, store.serialize_cdr(made, kinds[topic]))
+
+
+def write_bare_mcap(path: Path) -> None:
+    """What a ROS 2 recorder wrote, without its folder and metadata.yaml."""
+    write_ros2(path.parent / "bag", StoragePlugin.MCAP)
+    (recorded,) = (path.parent / "bag").glob("*.mcap")
+    recorded.rename(path)
+    shutil.rmtree(path.parent / "bag")
 
 
 def _odometry(types: Any, ns: int, content: dict[str, Any]) -> Any:
@@ -152,6 +161,7 @@ SOURCES: dict[str, tuple[str, Callable[[Path], Any], dict[str, Any]]] = {
     "mcap": ("walk.mcap", write_mcap, mapping(BAG)),
     "ros2": ("walk", lambda path: write_ros2(path, StoragePlugin.SQLITE3), mapping(BAG)),
     "ros2-mcap": ("walk", lambda path: write_ros2(path, StoragePlugin.MCAP), mapping(BAG)),
+    "ros2-mcap-bare": ("walk.mcap", write_bare_mcap, mapping(BAG, time={"bag": "received"})),
     "csv": ("walk.csv", lambda path: table().to_csv(path, index=False), TABLE),
     "parquet": ("walk.parquet", lambda path: table().to_parquet(path), TABLE),
 }
@@ -176,7 +186,7 @@ def test_a_session_becomes_the_recording_it_was_made_of(tmp_path: Path, kind: st
     np.testing.assert_allclose(recording.command[:, 0], sent[last])
 
 
-def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path) -> None:
+def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = table()
     rows = rows[(rows.stamp_ms < 3000) | (rows.stamp_ms > 4000)]
     (tmp_path / "in" / "deep").mkdir(parents=True)
@@ -184,6 +194,9 @@ def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path) -> None:
     found = imported(tmp_path, tmp_path / "in", TABLE)
     assert [r.name for r in found] == ["deep/walk_1", "deep/walk_2"]
     assert found[0].time_s[-1] + found[1].time_s[-1] < SECONDS - 1
+    assert "besides" not in capsys.readouterr().out
+    imported(tmp_path, tmp_path / "in", {**TABLE, "longest_gap_s": 2.0})
+    assert "holds deep/walk_1, deep/walk_2 besides, which this import did not write" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -224,6 +237,11 @@ def test_a_bag_that_lacks_a_topic_or_a_field_or_is_damaged_is_named(
         with pytest.raises(RecordingError):
             imported(tmp_path, tmp_path / "walk.mcap", mapping(columns))
         assert words in capsys.readouterr().out
+    write_mcap(tmp_path / "walk.mcap", "cdr")
+    with pytest.raises(RecordingError):
+        imported(tmp_path, tmp_path / "walk.mcap", mapping(BAG))
+    assert "has messages in cdr, defined in jsonschema; JSON, and ROS 2 messages" in capsys.readouterr().out
+    write_mcap(tmp_path / "walk.mcap")
     whole = (tmp_path / "walk.mcap").read_bytes()
     (tmp_path / "walk.mcap").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(RecordingError):
