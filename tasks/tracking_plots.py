@@ -33,8 +33,8 @@ def error_against_n(path: Path, rows: Sequence[dict[str, Any]], best: Mapping[st
         chosen = [{**r, "model": r["policy"]} for r in rows if r["shape"] == shape]
         seeds_and_spread(ax, chosen, "mean_error")
         stopped = [r for r in chosen if r["stopped"]]
-        ax.plot([r["sample_size"] for r in stopped], [r["mean_error"] for r in stopped], "x", color="black", ms=6,
-                label="stopped early")  # fmt: skip
+        ax.plot([r["sample_size"] for r in stopped], [r["mean_error"] for r in stopped], "x", color="black", ms=8,
+                zorder=10, label="stopped early")  # fmt: skip
         if shape in best:
             ax.axhline(best[shape], color="black", ls=":", lw=1.2, label="best proportional controller")
         ax.set(xlabel="transitions N", ylabel="mean distance from the goal [m]", title=shape)
