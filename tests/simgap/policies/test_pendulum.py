@@ -1,6 +1,6 @@
 """Soft actor-critic on the swing-up of a pendulum, against a published return.
 
-The task is Gymnasium's Pendulum-v1 (gymnasium.farama.org, its documentation of classic control), written out here: a rod
+The task is Gymnasium's Pendulum-v1 (gymnasium.farama.org, its documentation of classic control), written out: a rod
 of 1 m and 1 kg, g = 10 m/s², torques up to 2 N m, speeds up to 8 rad/s, 200 steps of 0.05 s, cost
 theta² + 0.1 omega² + 0.001 torque² with theta = 0 upright.
 """
