@@ -6,8 +6,10 @@ Everyone does the same work: batches of 64, 64-64 networks, observations of 24 a
 updates to 1,024 environment steps of 64 environments. Ours learns in a model of Sim-FSVGD's shape; brax in an
 environment of one multiplication; of sbx, whose environments are Python's, the updates alone are timed. Ours runs on
 one thread, and as two policies on two threads; the others as they come, free to use every core. The cases take turns
-within every round. The rivals' pins conflict with the project's: each is installed with uv into an environment of its
-own, below FOLDER (a temporary one unless given), which takes minutes. Prints a table, writes benchmarks/policies.json.
+within every round. Two rates are told: updates per second, and per second of processor time, all threads' together,
+which other work on the machine hardly disturbs. The rivals' pins conflict with the project's: each is installed with uv
+into an environment of its own, below FOLDER (a temporary one unless given), which takes minutes. Prints a table, writes
+benchmarks/policies.json.
 """
 
 import argparse
@@ -22,6 +24,7 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -57,15 +60,15 @@ class Still(Env):
 
 times = []
 def progress(steps, _):
-    times.append((steps, time.perf_counter()))
+    times.append((steps, time.perf_counter(), time.process_time()))
 
 steps = 2048 + 64 * 16 * CYCLES
 train.train(Still(), num_timesteps=3 * steps, episode_length=120, num_envs=64, num_eval_envs=1, learning_rate=1e-4,
             discounting=0.99, batch_size=64, num_evals=4, tau=0.005, min_replay_size=2048, max_replay_size=50000,
             grad_updates_per_step=64, normalize_observations=True, progress_fn=progress,
             network_factory=partial(networks.make_sac_networks, hidden_layer_sizes=(64, 64)))
-(first, start), (last, end) = times[-2:]
-print((last - first) / (end - start))  # an update for every environment step
+(first, start, used), (last, end, used_then) = times[-2:]
+print((last - first) / (end - start), (last - first) / (used_then - used))  # an update for every environment step
 """
 
 _SBX = """
@@ -85,10 +88,10 @@ class Still(gymnasium.Env):
 model = SAC("MlpPolicy", Still(), learning_rate=1e-4, batch_size=64, tau=0.005, gamma=0.99, buffer_size=50000,
             learning_starts=2048, train_freq=(1024, "step"), gradient_steps=1024, policy_kwargs={"net_arch": [64, 64]})
 model.learn(2048 + 1024 * 2)
-start = time.perf_counter()
+start, used = time.perf_counter(), time.process_time()
 for _ in range(CYCLES):
     model.train(1024, 64)
-print(1024 * CYCLES / (time.perf_counter() - start))
+print(1024 * CYCLES / (time.perf_counter() - start), 1024 * CYCLES / (time.process_time() - used))
 """
 
 
@@ -101,14 +104,22 @@ def install(rival: str, folder: Path) -> Path:
     return python
 
 
-def time_rival(python: Path, program: str) -> float:
-    """Updates per second that a rival's program prints, in a process without this project's settings."""
+class Rate(NamedTuple):
+    """Updates per second, and per second of processor time."""
+
+    per_second: float
+    per_core_second: float
+
+
+def time_rival(python: Path, program: str) -> Rate:
+    """The rates that a rival's program prints, in a process without this project's settings."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("XLA", "JAX", "OPENBLAS"))}
     code = f"CYCLES = {CYCLES}\n{program}"
     done = subprocess.run([python, "-c", code], env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{python} failed; its last words:\n{done.stderr[-2000:]}")
-    return float(done.stdout.split()[-1])
+    wall, core = done.stdout.split()[-2:]
+    return Rate(float(wall), float(core))
 
 
 class Ours:
@@ -132,23 +143,24 @@ class Ours:
         ]
         self.time(1)  # compiled
 
-    def time(self, threads: int) -> float:
-        """Updates per second of so many policies, a thread each."""
-        start = time.perf_counter()
+    def time(self, threads: int) -> Rate:
+        """Of so many policies, a thread each."""
+        start, used = time.perf_counter(), time.process_time()
         with ThreadPoolExecutor(threads) as pool:
             self._states[:threads] = list(pool.map(self._advance, self._states[:threads]))
-        return threads * CYCLES * self._config.updates / (time.perf_counter() - start)
+        updates = threads * CYCLES * self._config.updates
+        return Rate(updates / (time.perf_counter() - start), updates / (time.process_time() - used))
 
     def _advance(self, state: learn.Training) -> learn.Training:
         state, _ = learn.advance(state, jnp.int32(0), self._environment, self._config, self._sac)
         return jax.block_until_ready(state)
 
 
-def measure(rounds: int, folder: Path) -> dict[str, list[float]]:
-    """Updates per second, and as many environment steps, of every case and round."""
+def measure(rounds: int, folder: Path) -> dict[str, list[Rate]]:
+    """The rates of updates, and of as many environment steps, of every case and round."""
     pythons = {rival: install(rival, folder) for rival in RIVALS}
     ours = Ours(2)
-    found: dict[str, list[float]] = {}
+    found: dict[str, list[Rate]] = {}
     for _ in range(rounds):
         for name, rate in (
             ("ours, one thread", ours.time(1)),
@@ -157,7 +169,7 @@ def measure(rounds: int, folder: Path) -> dict[str, list[float]]:
             ("sbx 0.28", time_rival(pythons["sbx"], _SBX)),
         ):
             found.setdefault(name, []).append(rate)
-            print(f"{name:20}{rate:10,.0f} updates/s", flush=True)
+            print(f"{name:20}{rate.per_second:10,.0f} updates/s{rate.per_core_second:10,.0f} / core s", flush=True)
     return found
 
 
@@ -169,15 +181,18 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         found = measure(arguments.rounds, arguments.environments or Path(scratch))
-    medians = {name: statistics.median(rates) for name, rates in found.items()}
-    faster = max(rate for name, rate in medians.items() if not name.startswith("ours"))
-    summary = {
-        "updates_per_second": {name: round(rate) for name, rate in medians.items()},
-        "rounds": {name: [round(rate) for rate in rates] for name, rates in found.items()},
-        "ours / faster rival": round(medians["ours, two threads"] / faster, 2),
+    summary: dict[str, Any] = {}
+    for which in Rate._fields:
+        rates = {name: [round(getattr(rate, which)) for rate in rates] for name, rates in found.items()}
+        medians = {name: statistics.median(values) for name, values in rates.items()}
+        faster = max(rate for name, rate in medians.items() if not name.startswith("ours"))
+        summary[f"updates_{which}"] = medians
+        summary[f"rounds_{which}"] = rates
+        summary[f"ours / faster rival, {which}"] = round(medians["ours, two threads"] / faster, 2)
+    summary |= {
         "jax": jax.__version__,
         "python": platform.python_version(),
-        "cores": os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0)),
     }
     OUTPUT.write_text(json.dumps(summary, indent=1) + "\n")
     print(json.dumps(summary, indent=1), file=sys.stdout)

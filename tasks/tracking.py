@@ -234,10 +234,15 @@ class Run:
         self._log(points, model_id=None)
 
     def scores(self, scores: Mapping[str, float]) -> None:
-        """Results, shown beside the run and, if its model was logged before, beside the model."""
-        outputs = self.store.client.get_run(self.run_id).outputs
-        models = outputs.model_outputs if outputs else []
-        self._log([(name, float(value), 0) for name, value in scores.items()], models[-1].model_id if models else None)
+        """Results, shown beside the run and, if its model was logged before, beside the model.
+
+        One that is told again, as when a policy is tracked anew, comes as the next step; the last one is shown.
+        """
+        client, run = self.store.client, self.store.client.get_run(self.run_id)
+        models = run.outputs.model_outputs if run.outputs else []
+        told = {name: len(client.get_metric_history(self.run_id, name)) for name in scores if name in run.data.metrics}
+        points = [(name, float(value), told.get(name, 0)) for name, value in scores.items()]
+        self._log(points, models[-1].model_id if models else None)
 
     def _log(self, points: list[tuple[str, float, int]], model_id: str | None) -> None:
         # Curves are logged after the fact: the step says when, and the run's start serves as time.

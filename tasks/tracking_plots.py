@@ -20,6 +20,8 @@ Runs = Mapping[tuple[str, int, int], Run]
 _AXES = {"ellipse": (0, 1), "helix": (1, 2)}
 """Coordinates in which a shape is seen flat: from above, and from behind."""
 _NAMES = "xyz"
+_MARGIN = 0.35
+"""What a flat panel shows about the reference [m]."""
 
 
 def error_against_n(path: Path, rows: Sequence[dict[str, Any]], best: Mapping[str, float], dpi: int) -> None:
@@ -33,8 +35,8 @@ def error_against_n(path: Path, rows: Sequence[dict[str, Any]], best: Mapping[st
         chosen = [{**r, "model": r["policy"]} for r in rows if r["shape"] == shape]
         seeds_and_spread(ax, chosen, "mean_error")
         stopped = [r for r in chosen if r["stopped"]]
-        ax.plot([r["sample_size"] for r in stopped], [r["mean_error"] for r in stopped], "x", color="black", ms=6,
-                label="stopped early")  # fmt: skip
+        ax.plot([r["sample_size"] for r in stopped], [r["mean_error"] for r in stopped], "x", color="black", ms=8,
+                zorder=10, label="stopped early")  # fmt: skip
         if shape in best:
             ax.axhline(best[shape], color="black", ls=":", lw=1.2, label="best proportional controller")
         ax.set(xlabel="transitions N", ylabel="mean distance from the goal [m]", title=shape)
@@ -54,9 +56,11 @@ def trajectories(path: Path, runs: Runs, shape: str, dpi: int) -> None:
         if run.stopped:
             ax.plot(*run.states[-1:, [6 + i, 6 + j]].T, "x", color="black", ms=6)
     reference = max((run.goals for run in runs.values()), key=len)
+    low, high = reference.min(0) - _MARGIN, reference.max(0) + _MARGIN
     for ax in axes.flat:
         ax.plot(reference[:, i], reference[:, j], color="black", lw=1.2, ls="--")
-        ax.set_aspect("equal")
+        # A run gone astray would make all others small.
+        ax.set(xlim=(low[i], high[i]), ylim=(low[j], high[j]), aspect="equal")
         ax.grid(alpha=0.25)
     for ax in axes[-1]:
         ax.set_xlabel(f"{_NAMES[i]} [m]")

@@ -230,12 +230,16 @@ def advance(
         )
         memory = replay.add(memory, _normalised(seen, mean, std))
 
-        def update(learner: sac.Learner, key: PRNGKeyArray) -> tuple[sac.Learner, None]:
-            key_sample, key_update = jax.random.split(key)
-            batch = replay.sample(memory, key_sample, sac_config.batch_size, shapes.action_size)
-            return sac.update(learner, batch, key_update, shapes, sac_config), None
+        def update(learner: sac.Learner, drawn: tuple[Array, Array]) -> tuple[sac.Learner, None]:
+            batch = replay.sample(memory, drawn[0], shapes.action_size)
+            return sac.update(learner, batch, drawn[1], shapes, sac_config), None
 
-        learner, _ = jax.lax.scan(update, learner, jax.random.split(key_updates, config.updates))
+        # Drawn at once: every call of the generator costs as much as some of an update's matrix products.
+        key_rows, key_actions = jax.random.split(key_updates)
+        each = (config.updates, sac_config.batch_size)
+        actions = (config.updates, 2, sac_config.batch_size, shapes.action_size)
+        drawn = jax.random.uniform(key_rows, each), jax.random.normal(key_actions, actions)
+        learner, _ = jax.lax.scan(update, learner, drawn)
         return (learner, memory, places), None
 
     keys = jax.random.split(key_cycles, config.cycles_per_evaluation)

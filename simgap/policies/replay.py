@@ -2,9 +2,8 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
 
 class Experience(NamedTuple):
@@ -38,11 +37,11 @@ def add(replay: Replay, new: Experience) -> Replay:
     return Replay(replay.rows.at[places].set(rows), replay.added + len(rows))
 
 
-def sample(replay: Replay, key: PRNGKeyArray, count: int, action_size: int) -> Experience:
-    """`count` transitions drawn uniformly, with repetition, from those there are."""
+def sample(replay: Replay, uniform: Float[Array, " n"], action_size: int) -> Experience:
+    """n transitions of those there are, with repetition; drawn uniformly where `uniform` is, in [0, 1)."""
     filled = jnp.minimum(replay.added, len(replay.rows))
     # Far cheaper than drawing integers, and as uniform as single precision is at 50,000.
-    rows = replay.rows[jnp.int32(jax.random.uniform(key, (count,)) * filled)]
+    rows = replay.rows[jnp.int32(uniform * filled)]
     o = (rows.shape[1] - action_size - 2) // 2
     edges = (o, o + action_size, o + action_size + 1, o + action_size + 2)
     observation, action, reward, discount, following = jnp.split(rows, edges, axis=1)

@@ -2,7 +2,8 @@
 
 A batch of 64 and layers of 64 leave a processor little to do per operation, so operations are few: all weights lie in
 one vector, which one Adam step moves; the first layers of both critics are one matrix; one gradient serves all losses,
-each blind to the weights that are not its own. All losses are taken at the weights before the update.
+each blind to the weights that are not its own; random numbers come from outside, many updates' at once. All losses are
+taken at the weights before the update.
 """
 
 import math
@@ -112,8 +113,7 @@ def init(key: PRNGKeyArray, shapes: Networks) -> Learner:
 
 def actor_layers(weights: Float[Array, " w"], shapes: Networks) -> Layers:
     """The policy's layers."""
-    parts = _unpacked(weights, shapes.actor)
-    return list(zip(parts[::2], parts[1::2], strict=True))
+    return _layers(_unpacked(weights, shapes.actor))
 
 
 def explore(layers: Layers, observation: Float[Array, "... o"], key: PRNGKeyArray) -> Float[Array, "... a"]:
@@ -127,13 +127,18 @@ def exploit(layers: Layers, observation: Float[Array, "... o"]) -> Float[Array, 
     return jnp.tanh(_distribution(layers, observation)[0])
 
 
-def update(learner: Learner, batch: Experience, key: PRNGKeyArray, shapes: Networks, config: Config) -> Learner:
-    """One Adam step on all losses, then theta' <- theta' + tau (theta - theta')."""
-    normal = jax.random.normal(key, (2, *batch.action.shape))
-    gradient = jax.grad(_loss)(learner.weights, learner.target, batch, normal, shapes, config)
+def update(
+    learner: Learner, batch: Experience, normal: Float[Array, "2 b a"], shapes: Networks, config: Config
+) -> Learner:
+    """One Adam step on all losses, then theta' <- theta' + tau (theta - theta').
+
+    normal: standard normal numbers, for the actions that the policy takes in `following` and in `observation`.
+    """
     a = shapes.actor_size
-    policy, critics = (_clipped(g, config.max_gradient_norm) for g in (gradient[:a], gradient[a:-1]))
-    gradient = jnp.concatenate([policy, critics, gradient[-1:]])
+    target = _unpacked(learner.target, shapes.critics)
+    gradient = jax.grad(_loss)(_parts(learner.weights, shapes), target, batch, normal, shapes, config)
+    policy, critics = (_clipped(_packed(g), config.max_gradient_norm) for g in (gradient.actor, gradient.critics))
+    gradient = jnp.concatenate([policy, critics, gradient.log_alpha[None]])
 
     updates = learner.updates + 1
     moment = _BETA1 * learner.moment + (1 - _BETA1) * gradient
@@ -143,33 +148,48 @@ def update(learner: Learner, batch: Experience, key: PRNGKeyArray, shapes: Netwo
         jnp.full(len(critics), config.learning_rate_q),
         jnp.array([config.learning_rate_alpha]),
     ])  # fmt: skip
-    direction = moment / (1 - _BETA1**updates) / (jnp.sqrt(second_moment / (1 - _BETA2**updates)) + _EPSILON)
-    weights = learner.weights - rates * direction
+    # moment / (1 - beta_1^t) / (sqrt(second_moment / (1 - beta_2^t)) + epsilon), with one division an entry.
+    unbiased = jnp.sqrt(1 - _BETA2**updates)
+    step = unbiased / (1 - _BETA1**updates) * rates
+    weights = learner.weights - step * moment / (jnp.sqrt(second_moment) + unbiased * _EPSILON)
     target = learner.target + config.tau * (weights[a:-1] - learner.target)
     return Learner(weights, target, moment, second_moment, updates)
 
 
+class _Parts(NamedTuple):
+    """The weights as what they are: a gradient for each of them costs less than one for the vector they lie in."""
+
+    actor: list[Array]
+    critics: list[Array]
+    log_alpha: Float[Array, ""]
+
+
+def _parts(weights: Float[Array, " w"], shapes: Networks) -> _Parts:
+    a = shapes.actor_size
+    return _Parts(_unpacked(weights[:a], shapes.actor), _unpacked(weights[a:-1], shapes.critics), weights[-1])
+
+
 def _loss(
-    weights: Float[Array, " w"],
-    target: Float[Array, " c"],
+    weights: _Parts,
+    target: list[Array],
     batch: Experience,
     normal: Float[Array, "2 b a"],
     shapes: Networks,
     config: Config,
 ) -> Float[Array, ""]:
     """The sum of the three losses [Haarnoja et al. 2018, eqs. 5, 7 and 18]."""
-    actor, critics = actor_layers(weights, shapes), weights[shapes.actor_size : -1]
-    alpha = jnp.exp(weights[-1])
+    actor, critics = _layers(weights.actor), weights.critics
+    alpha = jnp.exp(weights.log_alpha)
     fixed_alpha = stop_gradient(alpha)
 
     action, log_density = _draw(stop_gradient(actor), batch.following, normal[0])
-    value = _q(target, batch.following, action, shapes).min(0) - fixed_alpha * log_density
+    value = _q(target, batch.following, action).min(0) - fixed_alpha * log_density
     bellman = batch.reward + config.discounting * batch.discount * value
-    error = _q(critics, batch.observation, batch.action, shapes) - stop_gradient(bellman)
+    error = _q(critics, batch.observation, batch.action) - stop_gradient(bellman)
     critic_loss = 0.5 * jnp.mean(error**2, axis=1).sum()
 
     action, log_density = _draw(actor, batch.observation, normal[1])
-    q = _q(stop_gradient(critics), batch.observation, action, shapes).min(0)
+    q = _q(stop_gradient(critics), batch.observation, action).min(0)
     policy_loss = jnp.mean(fixed_alpha * log_density - q)
 
     target_entropy = config.target_entropy * shapes.action_size
@@ -197,22 +217,26 @@ def _draw(
     return jnp.tanh(raw), density.sum(-1)
 
 
-def _q(
-    critics: Float[Array, " c"], observation: Float[Array, "b o"], action: Float[Array, "b a"], shapes: Networks
-) -> Float[Array, "2 b"]:
+def _q(parts: list[Array], observation: Float[Array, "b o"], action: Float[Array, "b a"]) -> Float[Array, "2 b"]:
     """Both critics' values."""
-    parts = _unpacked(critics, shapes.critics)
     h = jnp.concatenate([observation, action], axis=1) @ parts[0] + parts[1]
     h = h.reshape(len(h), 2, -1).swapaxes(0, 1)
     for weight, bias in zip(parts[2:-2:2], parts[3:-2:2], strict=True):
         h = jax.nn.swish(h) @ weight + bias
-    # A product with one column is faster as a sum.
-    return (jax.nn.swish(h) * parts[-2][:, None, :, 0]).sum(-1) + parts[-1][:, :, 0]
+    return (jax.nn.swish(h) @ parts[-2] + parts[-1])[:, :, 0]
 
 
 def _clipped(gradient: Float[Array, " n"], most: float) -> Float[Array, " n"]:
     """The gradient, shortened to a norm of `most`."""
-    return gradient * jnp.minimum(1.0, most / jnp.sqrt(jnp.sum(gradient**2) + 1e-12))
+    return gradient * jnp.minimum(1.0, most / jnp.sqrt(jnp.vdot(gradient, gradient) + 1e-12))
+
+
+def _layers(parts: list[Array]) -> Layers:
+    return list(zip(parts[::2], parts[1::2], strict=True))
+
+
+def _packed(parts: list[Array]) -> Float[Array, " n"]:
+    return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
 def _unpacked(flat: Float[Array, " n"], shapes: Sequence[tuple[int, ...]]) -> list[Array]:

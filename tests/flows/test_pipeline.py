@@ -39,6 +39,7 @@ TINY: dict[str, Any] = {
     },
     "score": {"horizons": [5, 10]},
     "policy": {
+        "noise": "student_t",
         "models": ["sim_model", "sim_fsvgd"],
         "sample_sizes": [80],
         "seeds": [0],

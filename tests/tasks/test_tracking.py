@@ -230,6 +230,8 @@ def test_a_logged_model_loads_and_predicts(
     assert os.environ.get("MLFLOW_TRACKING_URI") is None
     logged = store.client.get_logged_model(uri.removeprefix("models:/"))
     assert (logged.params, [(m.key, m.value) for m in logged.metrics]) == ({"seed": "1"}, [("nll", -3.0)])
+    Run(store, run.run_id).scores({"nll": -2.0, "rmse": 0.1})  # that stage's again, run with other parameters
+    assert facts(run).data.metrics == {"nll": -2.0, "rmse": 0.1}
 
     monkeypatch.setenv("MLFLOW_TRACKING_URI", store.uri)
     x = np.random.default_rng(0).normal(size=(7, 31))
