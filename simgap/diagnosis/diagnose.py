@@ -10,6 +10,7 @@ from simgap.diagnosis import black_box, experiment, judge, tell
 from simgap.diagnosis.explain import Explanation, explain, seen_at
 from simgap.diagnosis.explain import split as split
 from simgap.diagnosis.fit import raw_innovations
+from simgap.diagnosis.innovations import gain_matrix
 from simgap.diagnosis.judge import Contestant, Judged
 from simgap.diagnosis.search import Say
 from simgap.diagnosis.when import gate
@@ -23,7 +24,7 @@ class AugmentedModel(NamedTuple):
 
     phi: Float[np.ndarray, " p"]
     theta: Float[np.ndarray, " P"]
-    gain: Float[np.ndarray, " s"]
+    gain: Float[np.ndarray, "s s"]
     noise_scale: Float[np.ndarray, " s"]
     noise_dof: Float[np.ndarray, " s"]
     whiten: Float[np.ndarray, "s s"]
@@ -78,7 +79,7 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
     problem = found.problem
     box = black_box.train(problem.augmented, problem.chunks, raw_innovations(problem, found.base.v), rng)
     # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
-    as_is = found.as_is.v._replace(gain=found.base.v.gain)
+    as_is = found.as_is.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
     models = {"as_is": Contestant(as_is), "refitted": Contestant(found.base.v)}
     if found.members:
         models["augmented"] = Contestant(found.fit.v)
@@ -116,5 +117,11 @@ def _model(found: Explanation, compared: bool) -> AugmentedModel:
     # Since the baseline, what changed acts besides; what acts for a while only is no part of the simulator.
     theta = np.asarray(v.theta + v.gated if compared else v.theta)
     return AugmentedModel(
-        np.asarray(v.phi), theta, np.asarray(v.gain), noise.scale, noise.dof, problem.whiten, problem.scales
+        np.asarray(v.phi),
+        theta,
+        np.asarray(gain_matrix(problem.augmented, v)),
+        noise.scale,
+        noise.dof,
+        problem.whiten,
+        problem.scales,
     )

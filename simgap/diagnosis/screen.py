@@ -136,18 +136,22 @@ def _test(
     power = float(direction @ direction)
     if not np.isfinite(power):
         return None
-    by_row = (direction * residual).reshape(cuts[1], -1).sum(1)
-    score = -np.add.reduceat(by_row, cuts[0])
-    variance, total = float(score @ score), float(score.sum())
-    if power < NOTHING or variance == 0:
+    in_blocks = lambda a: np.add.reduceat(a.reshape(cuts[1], -1).sum(1), cuts[0])  # noqa: E731
+    score, powers = -in_blocks(direction * residual), in_blocks(direction * direction)
+    total = float(score.sum())
+    if power < NOTHING:
         return Screened(candidate, values, 0.0, 0.0, 0.0), np.zeros_like(score)
     amplitude = total / power
+    # A law that acts in a few blocks only would be measured against itself, were its own part not taken out first; and
+    # what is left of those few is too little to tell their variance, which is at least what the noise makes it.
+    left = score - amplitude * powers
+    variance = max(float(left @ left), power)
     two_sided = low[candidate.groups[k].entries[0]] < 0
     possible = amplitude > 0 or two_sided
     # A law that is linear in its constant can start where the data would have it.
     start = tuple(v * float(np.clip(amplitude, -3, 3)) if j == k and two_sided else v for j, v in enumerate(values))
     gain, statistic = (0.5 * total**2 / power, total**2 / variance) if possible else (0.0, 0.0)
-    return Screened(candidate, start, gain, statistic, 0.5 * power), score / np.sqrt(variance)
+    return Screened(candidate, start, gain, statistic, 0.5 * power), left / max(np.sqrt(float(left @ left)), NOTHING)
 
 
 def blocks(counts: np.ndarray) -> np.ndarray:
@@ -160,6 +164,6 @@ def blocks(counts: np.ndarray) -> np.ndarray:
 
 
 def _best_of_noise(scores: Float[np.ndarray, "h B"], rng: np.random.Generator) -> Float[np.ndarray, " draws"]:
-    """Greatest statistic over all hypotheses when every block's score takes a random sign (wild bootstrap)."""
-    signs = rng.choice(np.array([-1.0, 1.0], np.float32), (scores.shape[1], DRAWS))
-    return ((scores.astype(np.float32) @ signs) ** 2).max(0)
+    """Greatest statistic over all hypotheses when every block's score is noise (multiplier bootstrap)."""
+    multipliers = rng.standard_normal((scores.shape[1], DRAWS), np.float32)
+    return ((scores.astype(np.float32) @ multipliers) ** 2).max(0)

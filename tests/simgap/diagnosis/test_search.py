@@ -12,7 +12,6 @@ from simgap.effects import CATALOGUE
 SMOOTH_ARM = np.r_[PHI[:3], 0.3, 0.3, 0.3, PHI[6:]].astype(np.float32)
 """A hand that remembers its velocity, without which it does not matter what it remembers."""
 HIDDEN = "reported: the promising are dropped when three steps from an overshot start do not lead uphill"
-LOCAL = "reported: the screening's statistic is at most the number of blocks an effect acts in, however strong it is"
 
 
 def case(key: str, constants: tuple[float, ...], sites: tuple[int, ...] = (0,), fails: str = "", **more):
@@ -51,10 +50,10 @@ CASES = [
     case("induced_velocity", (-0.4,)),
     case("centripetal", (0.12,)),
     case("rotation_centre", (0.1, 0.06)),
-    case("reach_limit.horizontal", (1 / 0.9,), fails=LOCAL),
+    case("reach_limit.horizontal", (1 / 0.9,)),
     case("reach_limit.spherical", (1 / 1.0,)),
     case("ground_contact", (0.15,)),
-    case("relative_smoothing.own_motion", (1.0,), phi=SMOOTH_ARM, fails=HIDDEN),
+    case("relative_smoothing.own_motion", (1.0,), phi=SMOOTH_ARM),
     case("relative_smoothing.body_frame", (1.0,)),
     case("integration_rule", (0.6,), tuple(range(6))),
     case("sampling_interval.constant", (0.12,)),
@@ -95,7 +94,7 @@ def test_planted_effects_are_named_with_their_constants(
         assert value == pytest.approx(planted, abs=max(0.1 * abs(planted), 3 * sd[k]))
 
 
-@pytest.mark.parametrize("noise", [1.0, 0.3])
+@pytest.mark.parametrize("noise", [4.0, 1.0, 0.3])
 @pytest.mark.parametrize("seed", [RICH, 11, 12, 13])
 def test_nothing_is_claimed_where_nothing_is_planted(seed: int, noise: float) -> None:
     found = explain(*sessions({}, seed, noise))
@@ -125,7 +124,7 @@ def test_a_wrong_parameter_is_refitted_and_no_effect_is_claimed() -> None:
     [
         ("delay", (0.25,), ARM), ("lag", (0.2,), ARM),
         ("saturation", (1 / 0.9,), (0,)), ("quadratic_drag", (0.08,), (0,)),
-        pytest.param("gain", (-0.2,), (2,), marks=pytest.mark.xfail(reason=HIDDEN, strict=True)),
+        ("gain", (-0.2,), (2,)),
     ],
     ids=["delay", "lag", "saturation", "quadratic_drag", "gain of the yaw rate"],
 )  # fmt: skip
