@@ -132,15 +132,22 @@ def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Gener
     if screening.p_value > LEVEL:
         return Round(screening, [])
     tried = side_by_side(lambda s: _try(problem, fit, nuisance, s, 3), _promising(screening.found))
-    tried.sort(key=lambda t: -t.gain)
+    # Where an effect and phi have to move together the derivatives at hand do not lead there: what the screening
+    # expects most of is fitted to the end.
+    expected = tried[0].candidate if tried else None
+    tried.sort(key=lambda t: (t.candidate is not expected, -t.gain))
 
     def further(t: Tried, fit_further: Callable[[Fit], Fit]) -> Tried:
         return Tried.of(t.candidate, fit_further(t.fit), t.without)
 
     finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, nuisance, HELD)), tried[:FINALISTS])
     # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
-    far = CONTENDER * max(t.gain for t in finalists)
-    finalists = side_by_side(lambda t: t if t.gain < far else further(t, lambda f: optimise(problem, f)[0]), finalists)
+    far = CONTENDER * max((t.gain for t in finalists), default=0.0)
+
+    def to_its_end(t: Tried) -> Tried:
+        return t if t.gain < far and t.candidate is not expected else further(t, lambda f: optimise(problem, f)[0])
+
+    finalists = side_by_side(to_its_end, finalists)
     tried = sorted([*finalists, *tried[FINALISTS:]], key=lambda t: -t.gain)
     say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
