@@ -185,9 +185,9 @@ def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Samp
     names = problem.augmented.simulator.schema.state
     positions = tuple(f.name for f, v in zip(names, layout.integrates, strict=True) if v >= 0)
     return _claim(
-        "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True, constants=constants,
-        outputs=positions, statement=f"Rows are not evenly spaced in time: {share:.0%} of them hold a stall and span "
-        f"about {length:.2f} s of motion.",
+        "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True,
+        constants=constants, outputs=positions, statement="Rows are not evenly spaced in time: "
+        f"{share:.0%} of them hold a stall and span about {length:.2f} s of motion.",
     )  # fmt: skip
 
 
