@@ -182,7 +182,8 @@ def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.nda
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + BATCH), count - 1)
         raw = counted(problem.chunks, function(Variables(*(a[index] for a in many))))
-        return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial may explode; it is then not taken
+            return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
 
     return np.concatenate(side_by_side(batch, range(0, count, BATCH)))
 

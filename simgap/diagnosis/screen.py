@@ -89,11 +89,12 @@ def screen(
     def batch(first: int) -> list[tuple[Screened, np.ndarray]]:
         some = directions[first : first + BATCH]
         vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
-        change = trials(problem, vs) - fit.e
-        d = change.reshape(len(some), -1) * root
-        d = _beyond_twin(problem, fit, some, d, root)
-        d = d - (d @ basis) @ basis.T
-        tested = (_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True))
+        with np.errstate(over="ignore", invalid="ignore"):  # a start may explode; it is then left out
+            change = trials(problem, vs) - fit.e
+            d = change.reshape(len(some), -1) * root
+            d = _beyond_twin(problem, fit, some, d, root)
+            d = d - (d @ basis) @ basis.T
+            tested = [_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True)]
         return [t for t in tested if t is not None]
 
     results = [t for part in side_by_side(batch, range(0, len(directions), BATCH)) for t in part]
