@@ -13,7 +13,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc, logsumexp
 
-from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, fit_noise, log_density, replaced, trials
+from simgap.diagnosis.fit import (
+    Fit,
+    Noise,
+    Problem,
+    evaluate,
+    fit_noise,
+    log_density,
+    raw_innovations,
+    replaced,
+    trials,
+)
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.when import rows_of
@@ -74,7 +84,8 @@ def _sample(problem: Problem, fit: Fit) -> _Sample:
     chunks = problem.chunks
     layout, scales = problem.augmented.layout, problem.scales
     counts = np.asarray(chunks.counts)
-    state = np.asarray(chunks.state)[:, 1:][counts]
+    # As foretold: what was measured in a row holds the row's own noise, and would be large where that is.
+    state = (np.asarray(chunks.state)[:, 1:] - raw_innovations(problem, fit.v))[counts]
     speed = jnp.asarray(np.maximum(scales.speed, 1e-6))
     level = jax.vmap(lambda s: jnp.sqrt(((motion(layout, s).velocity / speed) ** 2 * (scales.speed > 1e-6)).mean()))
     moving = np.asarray(level(jnp.asarray(state))) if layout.bodies else np.zeros(len(state))
