@@ -46,7 +46,7 @@ def truth(constants: dict) -> Variables:
 def everywhere(key: str) -> dict:
     """An effect at all its sites, at its first start."""
     sites = SPOT.sites[[e.key for e in CATALOGUE].index(key)]
-    if key == "payload":
+    if key.startswith("payload"):
         return acting(key, (0.2, 0.05, 5.0))
     constants: dict = {}
     for s in range(len(sites)):
