@@ -11,7 +11,7 @@ from simgap.diagnosis.explain import Explanation, explain, seen_at
 from simgap.diagnosis.explain import split as split
 from simgap.diagnosis.fit import raw_innovations
 from simgap.diagnosis.innovations import gain_matrix
-from simgap.diagnosis.judge import Contestant, Judged
+from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.search import Say
 from simgap.diagnosis.when import gate
 from simgap.effects.effect import Scales
@@ -91,15 +91,19 @@ def _judged(
     contestants: dict[str, Contestant],
     training: Sequence[Recording],
     heldout: Sequence[Recording],
-) -> dict[str, Judged]:
-    """Every contestant on pieces of the held-out sessions; nothing where these are too short for a single piece."""
+) -> Judgement:
+    """Every contestant on pieces of both; nothing where held-out sessions are too short for a single piece."""
     step = found.problem.augmented.simulator.time_step
     fitted, unseen = judge.pieces_of(training, step), judge.pieces_of(heldout, step)
     if fitted is None or unseen is None:
-        return {}
-    fitted = judge.alike(fitted._replace(gate=gate(fitted, found.when)), unseen)
-    unseen = seen_at(unseen, found.when)
-    return {model: judge.judge(found.problem, c, fitted, unseen) for model, c in contestants.items()}
+        return Judgement({}, {})
+    fitted, unseen = fitted._replace(gate=gate(fitted, found.when)), seen_at(unseen, found.when)
+    noises = {name: judge.one_step_noise(found.problem, c, fitted) for name, c in contestants.items()}
+    judged = [
+        {name: judge.judge(found.problem, c, noises[name], pieces) for name, c in contestants.items()}
+        for pieces in (unseen, fitted)
+    ]
+    return Judgement(*judged)
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan | None:

@@ -10,7 +10,7 @@ from simgap.diagnosis.experiment import Experiment
 from simgap.diagnosis.explain import EXPLAINED, ODD_ROWS, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.judge import Contestant, Judged
+from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.left_over import left_over
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter import Scatter
@@ -51,15 +51,14 @@ def statement(
     found: Explanation,
     sessions: Sessions,
     contestants: dict[str, Contestant],
-    judged: dict[str, Judged],
+    judged: Judgement,
     plan: Plan | None,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
     """All six answers in plain values, in the layout of diagnosis.json."""
     layout = found.problem.augmented.layout
     share, verdict = _verdict(found, judged, rng)
-    sd = confidence.spread(found.problem, found.fit, found.nuisance)
-    members = [(found.names(m), _effect(found, m, sd, sessions.fitted)) for m in found.members]
+    members = [(found.names(m), _effect(found, m, sessions.fitted)) for m in found.members]
     effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
     doubtful = [e for sure, e in members if not sure]
     if verdict == "unexplained":
@@ -78,10 +77,10 @@ def statement(
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
-        "parameters": _parameters(found, sd),
+        "parameters": _parameters(found),
         "fit": {
             "heldout_sessions": [r.name for r in sessions.heldout],
-            "models": {model: judge.scores(layout, j, rng) for model, j in judged.items()},
+            "models": {model: judge.scores(layout, j, rng) for model, j in judged.heldout.items()},
             "explained_share": share and share["value"], "explained_share_ci95": share and share["ci95"],
         },
         "blind": _blind(found), "rounds": _rounds(found), "notes": _notes(sessions),
@@ -105,24 +104,24 @@ def evidence(
     }
 
 
-def _verdict(
-    found: Explanation, judged: dict[str, Judged], rng: np.random.Generator
-) -> tuple[dict[str, Any] | None, str]:
+def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) -> tuple[dict[str, Any] | None, str]:
     """Share of the black box's gain that named physics makes, and the verdict."""
-    if not judged:
+    if not judged.heldout:
         return None, "missing_physics" if found.members or found.scattered else "nothing"
-    refitted = judged["refitted"]
-    share = judge.explained_share(refitted, judged.get("augmented", refitted), judged["black_box"], rng)
+    heldout = judged.heldout
+    refitted = heldout["refitted"]
+    share = judge.explained_share(refitted, heldout.get("augmented", refitted), heldout["black_box"], rng)
     named = any(found.names(m) for m in found.members)
     little = share is not None and share["ci95"][1] < EXPLAINED
-    if named and not little and not judge.worse(refitted, judged["augmented"], rng):
+    astray = named and any(judge.worse(j["refitted"], j["augmented"], rng) for j in judged)
+    if named and not little and not astray:
         return share, "missing_physics"
     accounted = any(s.id in PERIODIC_OR_ODD for s in found.scattered)
     if found.members or share is not None or (found.left.nats.any() and not accounted):
         return share, "unexplained"
     if found.scattered:
         return share, "missing_physics"
-    moved = judge.difference(judged["as_is"], refitted, rng)["ci95"][0] > 0
+    moved = judge.difference(heldout["as_is"], refitted, rng)["ci95"][0] > 0
     return share, "parameters_only" if moved else "nothing"
 
 
@@ -194,9 +193,9 @@ def _scattered(s: Scatter) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _effect(found: Explanation, member: Member, sd: confidence.Spread, fitted: Sequence[Recording]) -> dict[str, Any]:
+def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> dict[str, Any]:
     problem, candidate = found.problem, member.candidate
-    constants = confidence.constants(problem, found.fit, candidate, sd)
+    constants = confidence.constants(problem, found.fit, candidate, found.sd)
     cumulative, credible = 0.0, []
     for effect, p in member.odds.items():
         credible.append(effect)
@@ -242,11 +241,11 @@ def _alternatives(members: Sequence[Member]) -> list[dict[str, Any]]:
     ]
 
 
-def _parameters(found: Explanation, sd: confidence.Spread) -> dict[str, Any]:
+def _parameters(found: Explanation) -> dict[str, Any]:
     simulator = found.problem.augmented.simulator
     names = [p.name for p in simulator.parameters]
     before, after = (dict(zip(names, map(float, np.asarray(f.v.phi)), strict=True)) for f in (found.as_is, found.fit))
-    width = dict(zip(names, confidence.Z95 * sd.phi, strict=True))
+    width = dict(zip(names, confidence.Z95 * found.sd.phi, strict=True))
     return {
         "before": before, "after": after,
         "ci95": {n: [after[n] - float(width[n]), after[n] + float(width[n])] for n in names},

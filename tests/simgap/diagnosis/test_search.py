@@ -5,7 +5,6 @@ import pytest
 from planted import PHI, SCALES, theta
 from small import KEYS, RICH, acting, explain, sessions
 
-from simgap.diagnosis import confidence
 from simgap.diagnosis.search import LEVEL
 from simgap.effects import CATALOGUE
 
@@ -84,7 +83,7 @@ def test_planted_effects_are_named_with_their_constants(
     assert member.candidate.effect.key == key
     if key != "sensor_bias":  # of two positions only the difference counts: either may be off
         assert member.candidate.sites == sites
-    sd = confidence.spread(found.problem, found.fit, found.nuisance).constants
+    sd = found.sd.constants
     for k, (constant, group) in enumerate(zip(KEYS[key].constants, member.candidate.groups, strict=True)):
         value, planted = float(found.fit.v.theta[group.entries[0]]), constants[k]
         if key == "ground_contact":  # its height is told from the lowest recorded one
@@ -111,7 +110,7 @@ def test_a_wrong_parameter_is_refitted_and_no_effect_is_claimed() -> None:
     phi[0], phi[20], phi[21] = 0.15, 1.5, 1.3  # the base's memory, how far it turns, how far the hand goes
     found = explain(*sessions({}, RICH, phi=phi))
     assert not found.members
-    sd = confidence.spread(found.problem, found.fit, found.nuisance).phi
+    sd = found.sd.phi
     for i in (0, 20, 21):
         assert float(found.fit.v.phi[i]) == pytest.approx(phi[i], abs=4 * sd[i])
         assert sd[i] < 0.05
