@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from simgap.diagnosis.candidates import candidates, changed, gated
 from simgap.diagnosis.confidence import Spread, spread, told_from_nil
@@ -30,8 +29,9 @@ class Explanation(NamedTuple):
     """The best explanation of the recordings.
 
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
-    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the held-out rows, gated
-    as the effects are. when: the time when one of the effects acts, if not throughout. rounds: what was tried.
+    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the
+    held-out rows, gated as the effects are. when: the time when one of the effects acts, if not throughout. rounds:
+    what was tried.
     """
 
     problem: Problem

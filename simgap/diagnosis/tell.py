@@ -11,7 +11,7 @@ from simgap.diagnosis.explain import EXPLAINED, ODD_ROWS, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.judge import Contestant, Judgement
-from simgap.diagnosis.left_over import left_over
+from simgap.diagnosis.left_over import LeftOver, left_over
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter import Scatter
 from simgap.effects import CATALOGUE
@@ -58,6 +58,8 @@ def statement(
     """All six answers in plain values, in the layout of diagnosis.json."""
     layout = found.problem.augmented.layout
     share, verdict = _verdict(found, judged, rng)
+    # Where no name stands, what is left over is what the simulator leaves by itself.
+    left = left_over(found.problem, found.base) if verdict == "unexplained" else found.left
     members = [(found.names(m), _effect(found, m, sessions.fitted)) for m in found.members]
     effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
     doubtful = [e for sure, e in members if not sure]
@@ -72,8 +74,8 @@ def statement(
             "transitions": int(np.asarray(found.problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
-        "located": _located(found, sessions, contestants, verdict, share is not None, rng),
-        "effects": effects, "resembles": doubtful, "left_over": _left(found),
+        "located": _located(found, sessions, contestants, verdict, left, share is not None, rng),
+        "effects": effects, "resembles": doubtful, "left_over": _left(found, left),
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
@@ -125,11 +127,11 @@ def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) ->
     return share, "parameters_only" if moved else "nothing"
 
 
-def _left(found: Explanation) -> dict[str, Any]:
+def _left(found: Explanation, left: LeftOver) -> dict[str, Any]:
     """What can still be foretold of the innovations, by output."""
     fields = found.problem.augmented.simulator.schema.state
-    told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, found.left.share, strict=True) if p]
-    return {"nats": float(found.left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
+    told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, left.share, strict=True) if p]
+    return {"nats": float(left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
 
 
 def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str, chunks: Chunks) -> locate.Excess:
@@ -159,6 +161,7 @@ def _located(
     sessions: Sessions,
     contestants: dict[str, Contestant],
     verdict: str,
+    left: LeftOver,
     seen_by_box: bool,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
@@ -170,15 +173,17 @@ def _located(
         "outputs": locate.outputs(problem.augmented, where),
         "regimes": locate.regimes(where),
         "intervals": _intervals(found, where, sessions.fitted),
-        "depends_on": _depends_on(found, contestants["black_box"].box if seen_by_box else None, rng)
+        "depends_on": _depends_on(found, left, contestants["black_box"].box if seen_by_box else None, rng)
         if verdict == "unexplained"
         else [],
     }
 
 
-def _depends_on(found: Explanation, box: black_box.BlackBox | None, rng: np.random.Generator) -> list[dict[str, Any]]:
+def _depends_on(
+    found: Explanation, left: LeftOver, box: black_box.BlackBox | None, rng: np.random.Generator
+) -> list[dict[str, Any]]:
     """What the nameless depends on, each with its share: the inputs of a black box that explains it, its own past."""
-    problem, depends = found.problem, [("its own past", float(found.left.share.max()))]
+    problem, depends = found.problem, [("its own past", float(left.share.max()))]
     if box is not None:
         raw = raw_innovations(problem, found.base.v)
         depends += black_box.dependence(problem.augmented, box, problem.chunks, raw, rng)[:3]

@@ -109,7 +109,14 @@ def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
     chunks = cut([Recording("a", time_s, np.array(states), command)], DRIVE.time_step)
     none = jnp.zeros(len(augmented.slots))
     as_stamped, as_nominal = (
-        np.abs(innovations(augmented, still, Variables(phi, jnp.zeros(2), jnp.zeros(2), c, none), chunks)).max()
+        np.abs(
+            innovations(
+                augmented,
+                still,
+                Variables(np.asarray(phi), np.zeros(2), np.zeros(2), np.asarray(c), np.asarray(none)),
+                chunks,
+            )
+        ).max()
         for c in (on, none)
     )
     assert as_stamped < 1e-5
