@@ -89,6 +89,16 @@ class Layout:
                 table[p] = v
         return table
 
+    @cached_property
+    def akin(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of states (i, j) that move together in the bodies' own frames, so that one measured tells of the other.
+
+        Those of one axis: a body carries what is mounted on it, and a velocity moves its position. And yaw with what
+        lies across, for a body that turns sweeps the arm that reaches ahead of it.
+        """
+        kin = [{"yaw": "y"}.get(f.axis, f.axis) if f.body else "" for f in self.schema.state]
+        return tuple((i, j) for i, a in enumerate(kin) for j, b in enumerate(kin) if i != j and a and a == b)
+
     def _same_frame(self, p: int, v: int) -> bool:
         """About the vertical, and without a heading, all frames are one."""
         position, velocity = self.schema.state[p], self.schema.state[v]
@@ -172,6 +182,19 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
             xy = _turn(jnp.stack([state[ix], state[iy]]), angle[b])
             state = state.at[ix].set(xy[0]).at[iy].set(xy[1])
     return state
+
+
+def rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
+    """World-frame horizontal pairs (velocities, positions) turned by sign times the heading of their body."""
+    for b, heading in enumerate(layout.heading):
+        if heading is None:
+            continue
+        for table in (layout.velocity, layout.position):
+            ix, iy = (int(i) for i in table[b, [X, Y]])
+            if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
+                xy = _turn(jnp.stack([vector[ix], vector[iy]]), sign * state[heading])
+                vector = vector.at[ix].set(xy[0]).at[iy].set(xy[1])
+    return vector
 
 
 def _enter(

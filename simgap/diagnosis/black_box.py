@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from simgap.diagnosis.innovations import Chunks, bare
 from simgap.effects.augmented import Augmented
-from simgap.layout import Layout, X, Y, motion
+from simgap.layout import Layout, motion, rotated
 
 COMMANDS = 4
 """Rows of commands it sees: the present one and those before."""
@@ -72,20 +72,6 @@ def input_names(layout: Layout) -> list[str]:
         names += [f.name for f in layout.schema.state if not f.body]
     commands = layout.schema.command
     return names + [f.name + (f" {k} rows before" if k else "") for k in range(COMMANDS) for f in commands]
-
-
-def rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
-    """World-frame horizontal pairs (velocities, positions) turned by sign times the heading of their body."""
-    for b, heading in enumerate(layout.heading):
-        if heading is None:
-            continue
-        c, s = jnp.cos(sign * state[heading]), jnp.sin(sign * state[heading])
-        for table in (layout.velocity, layout.position):
-            ix, iy = (int(i) for i in table[b, [X, Y]])
-            if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-                x, y = vector[ix], vector[iy]
-                vector = vector.at[ix].set(c * x - s * y).at[iy].set(s * x + c * y)
-    return vector
 
 
 def _features(box: BlackBox, z: Float[Array, " d"]) -> Float[Array, " k"]:

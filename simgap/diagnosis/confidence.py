@@ -37,6 +37,15 @@ def spread(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"]) -> 
     return Spread(sd[: len(parameters)] * ranges, sd[len(nuisance) :])
 
 
+def told_from_nil(fit: Fit, candidate: Candidate, sd: Spread) -> bool:
+    """Whether the interval of any of the effect's amplitudes leaves out zero."""
+    for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
+        value = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
+        if not constant.shapes and abs(value) > Z95 * sd.constants[fit.groups.index(group)]:
+            return True
+    return False
+
+
 def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> list[dict]:
     """The effect's physical constants with units and 95 % intervals."""
     found = []

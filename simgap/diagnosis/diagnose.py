@@ -10,7 +10,8 @@ from simgap.diagnosis import black_box, experiment, judge, tell
 from simgap.diagnosis.explain import Explanation, explain, seen_at
 from simgap.diagnosis.explain import split as split
 from simgap.diagnosis.fit import raw_innovations
-from simgap.diagnosis.judge import Contestant, Judged
+from simgap.diagnosis.innovations import gain_matrix
+from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.search import Say
 from simgap.diagnosis.when import gate
 from simgap.effects.effect import Scales
@@ -23,7 +24,7 @@ class AugmentedModel(NamedTuple):
 
     phi: Float[np.ndarray, " p"]
     theta: Float[np.ndarray, " P"]
-    gain: Float[np.ndarray, " s"]
+    gain: Float[np.ndarray, "s s"]
     noise_scale: Float[np.ndarray, " s"]
     noise_dof: Float[np.ndarray, " s"]
     whiten: Float[np.ndarray, "s s"]
@@ -78,7 +79,7 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
     problem = found.problem
     box = black_box.train(problem.augmented, problem.chunks, raw_innovations(problem, found.base.v), rng)
     # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
-    as_is = found.as_is.v._replace(gain=found.base.v.gain)
+    as_is = found.as_is.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
     models = {"as_is": Contestant(as_is), "refitted": Contestant(found.base.v)}
     if found.members:
         models["augmented"] = Contestant(found.fit.v)
@@ -90,15 +91,19 @@ def _judged(
     contestants: dict[str, Contestant],
     training: Sequence[Recording],
     heldout: Sequence[Recording],
-) -> dict[str, Judged]:
-    """Every contestant on pieces of the held-out sessions; nothing where these are too short for a single piece."""
+) -> Judgement:
+    """Every contestant on pieces of both; nothing where held-out sessions are too short for a single piece."""
     step = found.problem.augmented.simulator.time_step
     fitted, unseen = judge.pieces_of(training, step), judge.pieces_of(heldout, step)
     if fitted is None or unseen is None:
-        return {}
-    fitted = judge.alike(fitted._replace(gate=gate(fitted, found.when)), unseen)
-    unseen = seen_at(unseen, found.when)
-    return {model: judge.judge(found.problem, c, fitted, unseen) for model, c in contestants.items()}
+        return Judgement({}, {})
+    fitted, unseen = fitted._replace(gate=gate(fitted, found.when)), seen_at(unseen, found.when)
+    noises = {name: judge.one_step_noise(found.problem, c, fitted) for name, c in contestants.items()}
+    judged = [
+        {name: judge.judge(found.problem, c, noises[name], pieces) for name, c in contestants.items()}
+        for pieces in (unseen, fitted)
+    ]
+    return Judgement(*judged)
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan | None:
@@ -116,5 +121,11 @@ def _model(found: Explanation, compared: bool) -> AugmentedModel:
     # Since the baseline, what changed acts besides; what acts for a while only is no part of the simulator.
     theta = np.asarray(v.theta + v.gated if compared else v.theta)
     return AugmentedModel(
-        np.asarray(v.phi), theta, np.asarray(v.gain), noise.scale, noise.dof, problem.whiten, problem.scales
+        np.asarray(v.phi),
+        theta,
+        np.asarray(gain_matrix(problem.augmented, v)),
+        noise.scale,
+        noise.dof,
+        problem.whiten,
+        problem.scales,
     )

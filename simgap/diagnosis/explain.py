@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from simgap.diagnosis.candidates import candidates, changed, gated
+from simgap.diagnosis.confidence import Spread, spread, told_from_nil
 from simgap.diagnosis.fit import Fit, Problem, evaluate, optimise, start, whitening
 from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, left_over, named_share
@@ -29,15 +29,16 @@ class Explanation(NamedTuple):
     """The best explanation of the recordings.
 
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
-    members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the held-out rows, gated
-    as the effects are. when: the time when one of the effects acts, if not throughout. rounds: what was tried.
+    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the
+    held-out rows, gated as the effects are. when: the time when one of the effects acts, if not throughout. rounds:
+    what was tried.
     """
 
     problem: Problem
     as_is: Fit
     base: Fit
     fit: Fit
-    nuisance: Float[np.ndarray, "M n s"]
+    sd: Spread
     members: tuple[Member, ...]
     scattered: list[Scatter]
     left: LeftOver
@@ -46,8 +47,12 @@ class Explanation(NamedTuple):
     rounds: list[Round]
 
     def names(self, member: Member) -> bool:
-        """Whether an effect explains its outputs, rather than being the nearest word for something else."""
-        return named_share(self.problem.augmented.layout, self.fit, member.without, self.left) >= EXPLAINED
+        """Whether an effect explains its outputs, rather than being the nearest word for something else.
+
+        A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do.
+        """
+        share = named_share(self.problem.augmented.layout, self.fit, member.without, self.left)
+        return share >= EXPLAINED and told_from_nil(self.fit, member.candidate, self.sd)
 
     def known(self) -> Fit:
         """The fit without the effects that are nearest words only; nothing is fitted anew."""
@@ -125,8 +130,8 @@ def explain(
         before = without(model.fit, [group for m in members for group in m.candidate.groups])
     base, _ = optimise(model.problem, evaluate(model.problem, before.v, before.groups))
     return Explanation(
-        model.problem, as_is, base, model.fit, model.nuisance, members, scattered, left_over(model.problem, model.fit),
-        unseen, when, [*searched.rounds, *rounds],
+        model.problem, as_is, base, model.fit, spread(*model), members, scattered,
+        left_over(model.problem, model.fit), unseen, when, [*searched.rounds, *rounds],
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ STEPS = (1.0, 0.5, 0.2, 0.05)
 CONVERGED = 0.05
 """Gain [nats] below which iterations end."""
 HELD = 4
-"""Steps taken with the same derivatives by phi and gain."""
+"""Steps taken with the same derivatives by phi and K."""
 RENEWALS = 6
 """How often these are renewed at most."""
 PRIOR_PRECISION = 1.0
@@ -121,8 +121,10 @@ def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: N
 def start(problem: Problem) -> Variables:
     """Nominal parameters, equal trust in prediction and measurement, no effect."""
     phi = [p.nominal if p.nominal is not None else (p.low + p.high) / 2 for p in problem.augmented.simulator.parameters]
-    zero, gain = (np.zeros(n, np.float32) for n in (len(problem.augmented.slots), len(problem.whiten)))
-    return Variables(np.array(phi, np.float32), gain, zero, zero)
+    layout = problem.augmented.layout
+    sizes = (len(layout.schema.state), len(layout.akin), len(problem.augmented.slots))
+    gain, cross, zero = (np.zeros(n, np.float32) for n in sizes)
+    return Variables(np.array(phi, np.float32), gain, cross, zero, zero)
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
@@ -134,23 +136,25 @@ def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
 
 
 def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Float[np.ndarray, " M"]]:
-    """Unit directions of all that is free (phi, gain, constants), and the precision of their prior."""
+    """Unit directions of all that is free (phi, K, constants), and the precision of their prior."""
     p, s, size = len(problem.augmented.simulator.parameters), len(problem.whiten), len(problem.augmented.slots)
+    c = len(problem.augmented.layout.akin)
     ranges = np.array([q.high - q.low or 1.0 for q in problem.augmented.simulator.parameters])
-    m = p + s + len(groups)
-    phi, gain, theta, gated = (np.zeros((m, n), np.float32) for n in (p, s, size, size))
+    m = p + s + c + len(groups)
+    phi, gain, cross, theta, gated = (np.zeros((m, n), np.float32) for n in (p, s, c, size, size))
     phi[:p] = np.diag(ranges)
     gain[p : p + s] = np.eye(s)
+    cross[p + s : p + s + c] = np.eye(c)
     for k, group in enumerate(groups):
-        (gated if group.gated else theta)[p + s + k, list(group.entries)] = 1.0
-    precision = np.concatenate([np.full(p, PRIOR_PRECISION), np.full(s, 0.1), np.full(len(groups), 1e-8)])
-    return Variables(phi, gain, theta, gated), precision
+        (gated if group.gated else theta)[p + s + c + k, list(group.entries)] = 1.0
+    precision = [(p, PRIOR_PRECISION), (s, 0.1), (c, 1.0), (len(groups), 1e-8)]
+    return Variables(phi, gain, cross, theta, gated), np.concatenate([np.full(n, each) for n, each in precision])
 
 
 def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s"]:
-    """Derivatives of the decorrelated innovations by phi (in ranges) and gain."""
+    """Derivatives of the decorrelated innovations by phi (in ranges) and K."""
     free, _ = directions(problem, ())
-    along = lambda d: tangents(problem.augmented, problem.scales, v, d.phi, d.gain, problem.chunks)  # noqa: E731
+    along = lambda d: tangents(problem.augmented, problem.scales, v, d.phi, d.gain, d.cross, problem.chunks)  # noqa: E731
     return _in_batches(problem, free, along)
 
 
@@ -178,7 +182,8 @@ def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.nda
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + BATCH), count - 1)
         raw = counted(problem.chunks, function(Variables(*(a[index] for a in many))))
-        return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial may explode; it is then not taken
+            return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
 
     return np.concatenate(side_by_side(batch, range(0, count, BATCH)))
 
@@ -225,7 +230,7 @@ def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.nd
     low, high = problem.augmented.bounds
     own = [i for g in groups if not g.gated for i in g.entries]
     theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
-    return moved._replace(theta=theta, gain=np.clip(moved.gain, -6, 6))
+    return moved._replace(theta=theta, gain=np.clip(moved.gain, -6, 6), cross=np.clip(moved.cross, -3, 3))
 
 
 def replaced(values: Float[np.ndarray, " P"], entries: Sequence[int], by: Any) -> Float[np.ndarray, " P"]:
@@ -240,7 +245,9 @@ def _prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np
     parameters = problem.augmented.simulator.parameters
     middle = np.array([(p.low + p.high) / 2 for p in parameters])
     ranges = np.array([p.high - p.low or 1.0 for p in parameters])
-    return np.concatenate([(np.asarray(v.phi) - middle) / ranges, np.asarray(v.gain), np.zeros(len(groups))])
+    return np.concatenate(
+        [(np.asarray(v.phi) - middle) / ranges, np.asarray(v.gain), np.asarray(v.cross), np.zeros(len(groups))]
+    )
 
 
 def gauss_newton(
@@ -276,7 +283,7 @@ def gauss_newton(
 
 
 def refine(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], iterations: int) -> Fit:
-    """Gauss-Newton with the derivatives by phi and gain held, those by constants renewed."""
+    """Gauss-Newton with the derivatives by phi and K held, those by constants renewed."""
     _, precision = directions(problem, fit.groups)
     for _ in range(iterations):
         columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
@@ -289,9 +296,9 @@ def refine(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], ite
 
 
 def optimise(problem: Problem, fit: Fit) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
-    """Gauss-Newton to its end; returns the derivatives by phi and gain there as well.
+    """Gauss-Newton to its end; returns the derivatives by phi and K there as well.
 
-    The derivatives by phi and gain cost as much as ten steps with them: they are renewed only when they have led as far
+    The derivatives by phi and K cost as much as ten steps with them: they are renewed only when they have led as far
     as they can. Raises DivergenceError when the start leaves the finite numbers.
     """
     if not np.isfinite(fit.loglik):

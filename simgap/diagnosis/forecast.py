@@ -9,7 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.black_box import BlackBox, correct
-from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, as_chunks, bare, sent_before, wrap
+from simgap.diagnosis.innovations import (
+    RUN_IN,
+    Chunks,
+    Variables,
+    as_chunks,
+    bare,
+    corrected,
+    gain_matrix,
+    sent_before,
+    wrap,
+)
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import Row, Scales
 from simgap.types import Recording
@@ -34,7 +44,7 @@ def forecast(
     augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
 ) -> Float[Array, "W h s"]:
     """Predicted measurements of the rows after each piece's run-in, never corrected again; `box` adds to every step."""
-    phi, gain = jnp.asarray(v.phi), jax.nn.sigmoid(v.gain)
+    phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
     active = augmented.active(v.theta, v.gated)
 
     def one(chunk: Chunks) -> Float[Array, "h s"]:
@@ -50,7 +60,7 @@ def forecast(
             memory, x = advance(augmented, phi, theta, scales, memory, x, u, Row(time_s, interval), active)
             x = x + added
             seen = sense(augmented, theta, memory, x, active)
-            return (memory, x + trust * gain * wrap(augmented, y_next - seen)), seen
+            return (memory, corrected(augmented.layout, trust * K, x, wrap(augmented, y_next - seen))), seen
 
         steps = len(chunk.state) - 1
         trust = (jnp.arange(steps) < RUN_IN).astype(jnp.float32)

@@ -5,8 +5,10 @@ estimate x of the state is carried by the simulator and corrected by each measur
 
     e_t = y_t - h(f(x_{t-1}, u_{t-1}))        x_t = f(x_{t-1}, u_{t-1}) + K e_t
 
-with a gain K in [0, 1] per output, fitted together with everything else. Sessions are cut into chunks that run side by
-side, each after a few rows of run-in that do not count.
+with a gain K, fitted together with everything else. It reaches across outputs, as Kalman's does: what jolts the base
+moves the hand with it, and a position tells of the velocity that led to it. With a gain per output alone innovations
+can be foretold where nothing is missing. It is constant in the bodies' own frames. Sessions are cut into chunks that
+run side by side, each after a few rows of run-in that do not count.
 """
 
 from collections.abc import Sequence
@@ -20,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from simgap.effects.augmented import Active, Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
-from simgap.layout import wrapped
+from simgap.layout import Layout, rotated, wrapped
 from simgap.types import Recording
 
 LENGTH = 40
@@ -55,10 +57,12 @@ class Chunks(NamedTuple):
 
 
 class Variables(NamedTuple):
-    """All that can be fitted: simulator parameters phi, logit of the gain K, effects' constants, those where gated."""
+    """All that can be fitted: simulator parameters phi, logits of the gain K's diagonal, its entries beside that
+    (`Layout.akin`), effects' constants, those where gated."""
 
     phi: Float[np.ndarray, " p"]
     gain: Float[np.ndarray, " s"]
+    cross: Float[np.ndarray, " c"]
     theta: Float[np.ndarray, " P"]
     gated: Float[np.ndarray, " P"]
 
@@ -130,9 +134,26 @@ def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -
     return wrapped(augmented.layout, jnp.asarray(difference))
 
 
+def gain_matrix(augmented: Augmented, v: Variables) -> Float[Array, "s s"]:
+    """K, in the bodies' own frames. Entries beside its diagonal are fitted in units of the time step, so that all are
+    of order one: what a millimetre tells of a velocity is a millimetre in a time step."""
+    layout = augmented.layout
+    rate = np.array([f.kind == "velocity" for f in layout.schema.state], float)
+    i, j = np.array(layout.akin, int).reshape(-1, 2).T
+    unit = augmented.simulator.time_step ** (rate[j] - rate[i])
+    return jnp.diag(jax.nn.sigmoid(v.gain)).at[i, j].set(v.cross * unit)
+
+
+def corrected(
+    layout: Layout, K: Float[Array, "s s"], x: Float[Array, " s"], e: Float[Array, " s"]
+) -> Float[Array, " s"]:
+    """x + K e, with K in the bodies' own frames."""
+    return x + rotated(layout, K @ rotated(layout, e, x, -1.0), x, 1.0)
+
+
 def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks) -> Float[Array, "T-1 s"]:
     """Innovations of one chunk (without its leading axis C)."""
-    gain = jax.nn.sigmoid(v.gain)
+    K = gain_matrix(augmented, v)
     at_start = v.theta + chunk.gate[0] * v.gated
     first = unsense(augmented, at_start, chunk.state[0])
     memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
@@ -144,7 +165,7 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, c
         phi, now = jnp.asarray(v.phi), Row(time_s, interval)
         memory, x = advance(augmented, phi, theta, scales, memory, x, u, now, active)
         e = wrap(augmented, y_next - sense(augmented, theta, memory, x, active))
-        return (memory, x + gain * e), e
+        return (memory, corrected(augmented.layout, K, x, e)), e
 
     rows = (chunk.state[1:], chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:-1])
     return jax.lax.scan(row, (memory, first), rows)[1]
@@ -169,13 +190,14 @@ def tangents(
     v: Variables,
     phi: Float[Array, "M p"],
     gain: Float[Array, "M s"],
+    cross: Float[Array, "M c"],
     chunks: Chunks,
 ) -> Float[Array, "M C T-1 s"]:
-    """Derivatives of the innovations along M directions in phi and gain."""
+    """Derivatives of the innovations along M directions in phi and K."""
     active = augmented.active(v.theta, v.gated)
 
-    def along(phi: Float[Array, " p"], gain: Float[Array, " s"]) -> Float[Array, "C T-1 s"]:
-        at = lambda p, g: _all(augmented, scales, v._replace(phi=p, gain=g), active, chunks)  # noqa: E731
-        return jax.jvp(at, (v.phi, v.gain), (phi, gain))[1]
+    def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 s"]:
+        at = lambda p, g, c: _all(augmented, scales, v._replace(phi=p, gain=g, cross=c), active, chunks)  # noqa: E731
+        return jax.jvp(at, (v.phi, v.gain, v.cross), direction)[1]
 
-    return jax.vmap(along)(phi, gain)
+    return jax.vmap(along)(phi, gain, cross)

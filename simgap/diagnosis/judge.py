@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.black_box import BlackBox, silent
-from simgap.diagnosis.fit import Problem, fit_noise, log_density
+from simgap.diagnosis.fit import Noise, Problem, fit_noise, log_density
 from simgap.diagnosis.forecast import forecast, windows
 from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, wrap
 from simgap.layout import Layout, X, Y, Z
@@ -22,6 +22,8 @@ HORIZONS = (1, 10, 50)
 STRIDE = 5
 DRAWS = 1000
 LEAST_SESSIONS = 5
+PIECES = 64
+"""Predicted side by side: one number, for each is compiled anew."""
 
 
 class Contestant(NamedTuple):
@@ -44,11 +46,15 @@ class Judged(NamedTuple):
     session: np.ndarray
 
 
-def judge(problem: Problem, contestant: Contestant, training: Chunks, pieces: Chunks) -> Judged:
-    """Judge on pieces of held-out sessions; the one-step noise is fitted on pieces of training sessions first."""
-    first = forecasts(problem, contestant, training)[:, 0]
-    e = np.asarray(wrap(problem.augmented, _measured(training)[:, 0] - first)) @ problem.whiten.T
-    noise = fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
+class Judgement(NamedTuple):
+    """Every contestant on held-out sessions, and on those it was fitted to; empty where these are too short."""
+
+    heldout: dict[str, Judged]
+    fitted: dict[str, Judged]
+
+
+def judge(problem: Problem, contestant: Contestant, noise: Noise | None, pieces: Chunks) -> Judged:
+    """Judge on pieces of sessions; `noise` is that of one step, see `one_step_noise`."""
     predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
     error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))
@@ -61,6 +67,13 @@ def judge(problem: Problem, contestant: Contestant, training: Chunks, pieces: Ch
     return Judged(error, moved, nll, pieces.session)
 
 
+def one_step_noise(problem: Problem, contestant: Contestant, pieces: Chunks) -> Noise | None:
+    """Noise of predictions over a step, from pieces of training sessions; None where none is finite."""
+    first = forecasts(problem, contestant, pieces)[:, 0]
+    e = np.asarray(wrap(problem.augmented, _measured(pieces)[:, 0] - first)) @ problem.whiten.T
+    return fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
+
+
 def _measured(pieces: Chunks) -> np.ndarray:
     """Measured states after the run-in."""
     return np.asarray(pieces.state)[:, RUN_IN + 1 :]
@@ -69,7 +82,15 @@ def _measured(pieces: Chunks) -> np.ndarray:
 def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
     """Predicted measurements [n, horizon, s] after each piece's run-in."""
     box = contestant.box if contestant.box is not None else silent(problem.augmented.layout)
-    return np.asarray(forecast(problem.augmented, problem.scales, contestant.v, pieces, box))
+    count = len(pieces.row)
+    parts = []
+    for first in range(0, count, PIECES):
+        # The last batch is filled up by repetition.
+        index = np.minimum(np.arange(first, first + PIECES), count - 1)
+        some = jax.tree.map(lambda a, index=index: a[index], pieces)
+        part = np.asarray(forecast(problem.augmented, problem.scales, contestant.v, some, box))
+        parts.append(part[: count - first])
+    return np.concatenate(parts)
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
@@ -120,10 +141,16 @@ def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]
 
 
 def worse(a: Judged, b: Judged, rng: np.random.Generator) -> bool:
-    """Whether b misses more of the motion than a after the longest horizon, beyond chance: it has the wrong idea."""
-    last = a.error.shape[1] - 1
-    more = _interval(lambda i: _share_missed(b, last, i) - _share_missed(a, last, i), resample(a.session, rng))
-    return more["ci95"][0] > 0
+    """Whether b misses more of the motion than a after any of the longer horizons, beyond chance: a wrong idea.
+
+    Constants that make a memory for whatever disturbs the robot foretell the next row, and no further.
+    """
+    draws = resample(a.session, rng)
+
+    def more(k: int, i: np.ndarray) -> float:
+        return _share_missed(b, k, i) - _share_missed(a, k, i)
+
+    return any(_interval(partial(more, k), draws)["ci95"][0] > 0 for k in range(1, a.error.shape[1]))
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
@@ -137,12 +164,6 @@ def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random
         return float(np.clip(gained / max((refitted.nll[i] - box.nll[i]).mean(), 1e-9), 0.0, 1.0))
 
     return _interval(ratio, resample(refitted.session, rng))
-
-
-def alike(pieces: Chunks, like: Chunks) -> Chunks:
-    """As many pieces as `like` has, evenly chosen: sets of one size share what is compiled."""
-    index = np.linspace(0, len(pieces.row) - 1, len(like.row)).astype(int)
-    return jax.tree.map(lambda a: a[index], pieces)
 
 
 def pieces_of(recordings: Sequence[Recording], time_step: float) -> Chunks | None:

@@ -90,8 +90,10 @@ def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:
 def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
     """Probability of each effect id: likelihood of its best hypothesis, less log n / 2 a constant, against the first's.
 
-    The ratio of two likelihoods is itself uncertain: where its spread over blocks of rows is wider than that of a
-    correct model's (variance twice the mean), the ratio is worn down accordingly [Vuong 1989].
+    What a rival is behind by counts only so far as it exceeds `LEAST_SHARE` of the first's gain: less may be no more
+    than the difference between laws and robot. And the ratio of two likelihoods is itself uncertain: where its spread
+    over blocks of rows is wider than that of a correct model's (variance twice the mean), the ratio is worn down
+    accordingly [Vuong 1989].
     """
     starts, rows = blocks(np.asarray(problem.chunks.counts)), len(tried[0].fit.e)
     best: dict[str, Tried] = {}
@@ -104,7 +106,7 @@ def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
     density = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
     logits = {}
     for k in best:
-        behind = max(score[lead] - score[k], 0.0)
+        behind = max(score[lead] - score[k] - LEAST_SHARE * max(best[lead].gain, 0.0), 0.0) if k != lead else 0.0
         difference = np.add.reduceat(density[lead] - density[k], starts)
         spread = len(difference) * float(np.var(difference))
         logits[k] = -behind * min(1.0, 2 * behind / spread) if spread > 0 else -behind

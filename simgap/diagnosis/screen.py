@@ -25,14 +25,24 @@ NOTHING = 1e-4
 class Screened(NamedTuple):
     """A hypothesis at a start: gain expected [nats], and its test statistic (chi-squared with one degree of freedom).
 
-    power: nats that an effect at the starting value would gain, so what the recordings could have shown.
+    constant: the one tested. power: nats that an effect at the starting value would gain, so what the recordings could
+    have shown.
     """
 
     candidate: Candidate
     start: tuple[float, ...]
+    constant: int
     gain: float
     statistic: float
     power: float
+
+
+class _Direction(NamedTuple):
+    """One constant of a hypothesis at its start, the other amplitudes zero."""
+
+    candidate: Candidate
+    values: tuple[float, ...]
+    constant: int
 
 
 class Screening(NamedTuple):
@@ -54,8 +64,8 @@ def vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Vari
     return v._replace(theta=theta, gated=gated)
 
 
-def _directions(candidates: Sequence[Candidate]) -> list[tuple[Candidate, tuple[float, ...], int]]:
-    """(candidate, start, constant): one constant at its start, the other amplitudes zero, shapes at their start."""
+def _directions(candidates: Sequence[Candidate]) -> list[_Direction]:
+    """Every constant of every hypothesis at all of its starts, shapes at their start as well."""
     found = []
     for candidate in candidates:
         shapes = [c.shapes for c in candidate.effect.constants]
@@ -63,7 +73,7 @@ def _directions(candidates: Sequence[Candidate]) -> list[tuple[Candidate, tuple[
             for k, shape in enumerate(shapes):
                 if not shape:
                     values = tuple(v if j == k or shapes[j] else 0.0 for j, v in enumerate(start))
-                    found.append((candidate, values, k))
+                    found.append(_Direction(candidate, values, k))
     return found
 
 
@@ -86,21 +96,25 @@ def screen(
     directions = _directions(candidates)
     low, _ = problem.augmented.bounds
 
-    def batch(first: int) -> list[tuple[Screened, np.ndarray]]:
-        some = directions[first : first + BATCH]
+    def batch(some: Sequence[_Direction]) -> list[tuple[Screened, np.ndarray]]:
         vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
-        change = trials(problem, vs) - fit.e
-        d = change.reshape(len(some), -1) * root
-        d = _beyond_twin(problem, fit, some, d, root)
-        d = d - (d @ basis) @ basis.T
-        tested = (_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True))
+        with np.errstate(over="ignore", invalid="ignore"):  # a start may explode; it is then left out
+            change = trials(problem, vs) - fit.e
+            d = change.reshape(len(some), -1) * root
+            d = _beyond_twin(problem, fit, some, d, root)
+            d = d - (d @ basis) @ basis.T
+            tested = [_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True)]
         return [t for t in tested if t is not None]
 
-    results = [t for part in side_by_side(batch, range(0, len(directions), BATCH)) for t in part]
+    parts = [directions[first : first + BATCH] for first in range(0, len(directions), BATCH)]
+    results = [t for part in side_by_side(batch, parts) for t in part]
+    # A strong effect is another direction where it stands than near nil: the most promising are tested there as well.
+    best = sorted((s for s, _ in results), key=lambda s: -s.gain)[:BATCH]
+    results += batch([_Direction(s.candidate, s.start, s.constant) for s in best])
     found, scores = [s for s, _ in results], [score for _, score in results]
     noise = _best_of_noise(np.array(scores), rng)
-    best = max((s.statistic for s in found), default=0.0)
-    p_value = float((1 + (noise >= best).sum()) / (1 + len(noise)))
+    strongest = max((s.statistic for s in found), default=0.0)
+    p_value = float((1 + (noise >= strongest).sum()) / (1 + len(noise)))
     found.sort(key=lambda s: -s.gain)
     return Screening(found, p_value, float(np.quantile(noise, 1 - level)))
 
@@ -108,7 +122,7 @@ def screen(
 def _beyond_twin(
     problem: Problem,
     fit: Fit,
-    some: Sequence[tuple[Candidate, tuple[float, ...], int]],
+    some: Sequence[_Direction],
     d: np.ndarray,
     root: np.ndarray,
 ) -> Float[np.ndarray, "k m"]:
@@ -136,18 +150,22 @@ def _test(
     power = float(direction @ direction)
     if not np.isfinite(power):
         return None
-    by_row = (direction * residual).reshape(cuts[1], -1).sum(1)
-    score = -np.add.reduceat(by_row, cuts[0])
-    variance, total = float(score @ score), float(score.sum())
-    if power < NOTHING or variance == 0:
-        return Screened(candidate, values, 0.0, 0.0, 0.0), np.zeros_like(score)
+    in_blocks = lambda a: np.add.reduceat(a.reshape(cuts[1], -1).sum(1), cuts[0])  # noqa: E731
+    score, powers = -in_blocks(direction * residual), in_blocks(direction * direction)
+    total = float(score.sum())
+    if power < NOTHING:
+        return Screened(candidate, values, k, 0.0, 0.0, 0.0), np.zeros_like(score)
     amplitude = total / power
+    # A law that acts in a few blocks only would be measured against itself, were its own part not taken out first; and
+    # what is left of those few is too little to tell their variance, which is at least what the noise makes it.
+    left = score - amplitude * powers
+    variance = max(float(left @ left), power)
     two_sided = low[candidate.groups[k].entries[0]] < 0
     possible = amplitude > 0 or two_sided
     # A law that is linear in its constant can start where the data would have it.
     start = tuple(v * float(np.clip(amplitude, -3, 3)) if j == k and two_sided else v for j, v in enumerate(values))
     gain, statistic = (0.5 * total**2 / power, total**2 / variance) if possible else (0.0, 0.0)
-    return Screened(candidate, start, gain, statistic, 0.5 * power), score / np.sqrt(variance)
+    return Screened(candidate, start, k, gain, statistic, 0.5 * power), left / max(np.sqrt(float(left @ left)), NOTHING)
 
 
 def blocks(counts: np.ndarray) -> np.ndarray:
@@ -160,6 +178,6 @@ def blocks(counts: np.ndarray) -> np.ndarray:
 
 
 def _best_of_noise(scores: Float[np.ndarray, "h B"], rng: np.random.Generator) -> Float[np.ndarray, " draws"]:
-    """Greatest statistic over all hypotheses when every block's score takes a random sign (wild bootstrap)."""
-    signs = rng.choice(np.array([-1.0, 1.0], np.float32), (scores.shape[1], DRAWS))
-    return ((scores.astype(np.float32) @ signs) ** 2).max(0)
+    """Greatest statistic over all hypotheses when every block's score is noise (multiplier bootstrap)."""
+    multipliers = rng.standard_normal((scores.shape[1], DRAWS), np.float32)
+    return ((scores.astype(np.float32) @ multipliers) ** 2).max(0)

@@ -37,6 +37,8 @@ FITTED = 10
 """Hypotheses that get a first fit in a round."""
 FINALISTS = 4
 """Those whose fit is carried on,"""
+SHARES = tuple(np.geomspace(1, 0.02, 8))
+"""Of the amplitude that the screening expects, where a fit may start."""
 CONTENDER = 0.5
 """and to its end where it gains this share of what the best gains."""
 
@@ -130,15 +132,22 @@ def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Gener
     if screening.p_value > LEVEL:
         return Round(screening, [])
     tried = side_by_side(lambda s: _try(problem, fit, nuisance, s, 3), _promising(screening.found))
-    tried.sort(key=lambda t: -t.gain)
+    # Where an effect and phi have to move together the derivatives at hand do not lead there: what the screening
+    # expects most of is fitted to the end.
+    expected = tried[0].candidate if tried else None
+    tried.sort(key=lambda t: (t.candidate is not expected, -t.gain))
 
     def further(t: Tried, fit_further: Callable[[Fit], Fit]) -> Tried:
         return Tried.of(t.candidate, fit_further(t.fit), t.without)
 
     finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, nuisance, HELD)), tried[:FINALISTS])
     # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
-    far = CONTENDER * max(t.gain for t in finalists)
-    finalists = side_by_side(lambda t: t if t.gain < far else further(t, lambda f: optimise(problem, f)[0]), finalists)
+    far = CONTENDER * max((t.gain for t in finalists), default=0.0)
+
+    def to_its_end(t: Tried) -> Tried:
+        return t if t.gain < far and t.candidate is not expected else further(t, lambda f: optimise(problem, f)[0])
+
+    finalists = side_by_side(to_its_end, finalists)
     tried = sorted([*finalists, *tried[FINALISTS:]], key=lambda t: -t.gain)
     say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
@@ -162,9 +171,7 @@ def _promising(found: Sequence[Screened]) -> list[Screened]:
 
 
 def _try(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], s: Screened, iterations: int) -> Tried:
-    v = vary(fit.v, s.candidate, s.start)
-    if s.candidate.effect.jagged:
-        v = _summit(problem, fit, s)
+    v = _highest(problem, fit, s)
     twin = tuple(g for g in s.candidate.twin if g not in fit.groups)
     begun = evaluate(problem, v, (*fit.groups, *twin, *s.candidate.groups), fit.noise)
     done, rest = refine(problem, begun, nuisance, iterations), fit
@@ -175,11 +182,19 @@ def _try(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], s: Sc
     return Tried.of(s.candidate, done, rest)
 
 
-def _summit(problem: Problem, fit: Fit, s: Screened) -> Variables:
-    """The best of many constants near the start, where derivatives lead nowhere."""
-    near = [vary(fit.v, s.candidate, [c * share for c in s.start]) for share in np.linspace(0.9, 1.1, 36)]
-    e = trials(problem, near)
-    return near[int(np.argmax([log_density(one, fit.noise).sum() for one in e]))]
+def _highest(problem: Problem, fit: Fit, s: Screened) -> Variables:
+    """The likeliest of several constants: near the start where derivatives lead nowhere, else between nil and there,
+    for what the screening expects of an amplitude may lie beyond the summit."""
+    constants = s.candidate.effect.constants
+    if s.candidate.effect.jagged:
+        near = [tuple(c * share for c in s.start) for share in np.linspace(0.9, 1.1, 36)]
+    else:
+        near = [
+            tuple(c if of.shapes else c * share for of, c in zip(constants, s.start, strict=True)) for share in SHARES
+        ]
+    vs = [vary(fit.v, s.candidate, constants) for constants in near]
+    e = trials(problem, vs)
+    return vs[int(np.argmax([log_density(one, fit.noise).sum() for one in e]))]
 
 
 def search(

@@ -10,8 +10,8 @@ from simgap.diagnosis.experiment import Experiment
 from simgap.diagnosis.explain import EXPLAINED, ODD_ROWS, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.judge import Contestant, Judged
-from simgap.diagnosis.left_over import left_over
+from simgap.diagnosis.judge import Contestant, Judgement
+from simgap.diagnosis.left_over import LeftOver, left_over
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter import Scatter
 from simgap.effects import CATALOGUE
@@ -51,15 +51,16 @@ def statement(
     found: Explanation,
     sessions: Sessions,
     contestants: dict[str, Contestant],
-    judged: dict[str, Judged],
+    judged: Judgement,
     plan: Plan | None,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
     """All six answers in plain values, in the layout of diagnosis.json."""
     layout = found.problem.augmented.layout
     share, verdict = _verdict(found, judged, rng)
-    sd = confidence.spread(found.problem, found.fit, found.nuisance)
-    members = [(found.names(m), _effect(found, m, sd, sessions.fitted)) for m in found.members]
+    # Where no name stands, what is left over is what the simulator leaves by itself.
+    left = left_over(found.problem, found.base) if verdict == "unexplained" else found.left
+    members = [(found.names(m), _effect(found, m, sessions.fitted)) for m in found.members]
     effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
     doubtful = [e for sure, e in members if not sure]
     if verdict == "unexplained":
@@ -73,15 +74,15 @@ def statement(
             "transitions": int(np.asarray(found.problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
-        "located": _located(found, sessions, contestants, verdict, share is not None, rng),
-        "effects": effects, "resembles": doubtful, "left_over": _left(found),
+        "located": _located(found, sessions, contestants, verdict, left, share is not None, rng),
+        "effects": effects, "resembles": doubtful, "left_over": _left(found, left),
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
-        "parameters": _parameters(found, sd),
+        "parameters": _parameters(found),
         "fit": {
             "heldout_sessions": [r.name for r in sessions.heldout],
-            "models": {model: judge.scores(layout, j, rng) for model, j in judged.items()},
+            "models": {model: judge.scores(layout, j, rng) for model, j in judged.heldout.items()},
             "explained_share": share and share["value"], "explained_share_ci95": share and share["ci95"],
         },
         "blind": _blind(found), "rounds": _rounds(found), "notes": _notes(sessions),
@@ -105,32 +106,32 @@ def evidence(
     }
 
 
-def _verdict(
-    found: Explanation, judged: dict[str, Judged], rng: np.random.Generator
-) -> tuple[dict[str, Any] | None, str]:
+def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) -> tuple[dict[str, Any] | None, str]:
     """Share of the black box's gain that named physics makes, and the verdict."""
-    if not judged:
+    if not judged.heldout:
         return None, "missing_physics" if found.members or found.scattered else "nothing"
-    refitted = judged["refitted"]
-    share = judge.explained_share(refitted, judged.get("augmented", refitted), judged["black_box"], rng)
+    heldout = judged.heldout
+    refitted = heldout["refitted"]
+    share = judge.explained_share(refitted, heldout.get("augmented", refitted), heldout["black_box"], rng)
     named = any(found.names(m) for m in found.members)
     little = share is not None and share["ci95"][1] < EXPLAINED
-    if named and not little and not judge.worse(refitted, judged["augmented"], rng):
+    astray = named and any(judge.worse(j["refitted"], j["augmented"], rng) for j in judged)
+    if named and not little and not astray:
         return share, "missing_physics"
     accounted = any(s.id in PERIODIC_OR_ODD for s in found.scattered)
     if found.members or share is not None or (found.left.nats.any() and not accounted):
         return share, "unexplained"
     if found.scattered:
         return share, "missing_physics"
-    moved = judge.difference(judged["as_is"], refitted, rng)["ci95"][0] > 0
+    moved = judge.difference(heldout["as_is"], refitted, rng)["ci95"][0] > 0
     return share, "parameters_only" if moved else "nothing"
 
 
-def _left(found: Explanation) -> dict[str, Any]:
+def _left(found: Explanation, left: LeftOver) -> dict[str, Any]:
     """What can still be foretold of the innovations, by output."""
     fields = found.problem.augmented.simulator.schema.state
-    told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, found.left.share, strict=True) if p]
-    return {"nats": float(found.left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
+    told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, left.share, strict=True) if p]
+    return {"nats": float(left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
 
 
 def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str, chunks: Chunks) -> locate.Excess:
@@ -160,6 +161,7 @@ def _located(
     sessions: Sessions,
     contestants: dict[str, Contestant],
     verdict: str,
+    left: LeftOver,
     seen_by_box: bool,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
@@ -171,15 +173,17 @@ def _located(
         "outputs": locate.outputs(problem.augmented, where),
         "regimes": locate.regimes(where),
         "intervals": _intervals(found, where, sessions.fitted),
-        "depends_on": _depends_on(found, contestants["black_box"].box if seen_by_box else None, rng)
+        "depends_on": _depends_on(found, left, contestants["black_box"].box if seen_by_box else None, rng)
         if verdict == "unexplained"
         else [],
     }
 
 
-def _depends_on(found: Explanation, box: black_box.BlackBox | None, rng: np.random.Generator) -> list[dict[str, Any]]:
+def _depends_on(
+    found: Explanation, left: LeftOver, box: black_box.BlackBox | None, rng: np.random.Generator
+) -> list[dict[str, Any]]:
     """What the nameless depends on, each with its share: the inputs of a black box that explains it, its own past."""
-    problem, depends = found.problem, [("its own past", float(found.left.share.max()))]
+    problem, depends = found.problem, [("its own past", float(left.share.max()))]
     if box is not None:
         raw = raw_innovations(problem, found.base.v)
         depends += black_box.dependence(problem.augmented, box, problem.chunks, raw, rng)[:3]
@@ -194,9 +198,9 @@ def _scattered(s: Scatter) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _effect(found: Explanation, member: Member, sd: confidence.Spread, fitted: Sequence[Recording]) -> dict[str, Any]:
+def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> dict[str, Any]:
     problem, candidate = found.problem, member.candidate
-    constants = confidence.constants(problem, found.fit, candidate, sd)
+    constants = confidence.constants(problem, found.fit, candidate, found.sd)
     cumulative, credible = 0.0, []
     for effect, p in member.odds.items():
         credible.append(effect)
@@ -242,11 +246,11 @@ def _alternatives(members: Sequence[Member]) -> list[dict[str, Any]]:
     ]
 
 
-def _parameters(found: Explanation, sd: confidence.Spread) -> dict[str, Any]:
+def _parameters(found: Explanation) -> dict[str, Any]:
     simulator = found.problem.augmented.simulator
     names = [p.name for p in simulator.parameters]
     before, after = (dict(zip(names, map(float, np.asarray(f.v.phi)), strict=True)) for f in (found.as_is, found.fit))
-    width = dict(zip(names, confidence.Z95 * sd.phi, strict=True))
+    width = dict(zip(names, confidence.Z95 * found.sd.phi, strict=True))
     return {
         "before": before, "after": after,
         "ci95": {n: [after[n] - float(width[n]), after[n] + float(width[n])] for n in names},

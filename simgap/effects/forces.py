@@ -36,16 +36,24 @@ def _sag(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     return out
 
 
-def _payload(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
-    """From the onset c_2 on: -c_0 (u - v), the memory of the hand's own velocity; and -c_1 along z."""
-    out = jnp.zeros_like(step.now.velocity)
-    for k, b in enumerate(_lifted(step.layout)):
-        on = jnp.clip((step.row.time_s - c[2, k]) / step.scales.time_step, 0.0, 1.0)
-        u = commanded(step.layout, b, step.now.heading[b], step.command)
-        u = jnp.where(step.layout.command[b] >= 0, u, step.now.velocity[b])
-        out = out.at[b].add(-on * c[0, k] * (u - step.now.velocity[b]))
-        out = out.at[b, Z].add(-on * c[1, k])
-    return out
+def _payload(inherited: bool):
+    def law(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
+        """From the onset c_2 on: -c_0 (u - v), v the hand's own velocity, and what carries it; and -c_1 along z."""
+        now, layout = step.now, step.layout
+        out = jnp.zeros_like(now.velocity)
+        for k, b in enumerate(_lifted(layout)):
+            on = jnp.clip((step.row.time_s - c[2, k]) / step.scales.time_step, 0.0, 1.0)
+            u = commanded(layout, b, now.heading[b], step.command)
+            u = jnp.where(layout.command[b] >= 0, u, now.velocity[b])
+            v = now.velocity[b]
+            if inherited:
+                carrier, arm = now.velocity[layout.carrier[b]], now.position[b]
+                v = v.at[:Z].add(carrier[:Z] + carrier[YAW] * jnp.stack([-arm[Y], arm[X]]))
+            out = out.at[b].add(-on * c[0, k] * (u - v))
+            out = out.at[b, Z].add(-on * c[1, k])
+        return out
+
+    return law
 
 
 def _slope(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
@@ -88,6 +96,12 @@ def _ground_sites(layout: Layout) -> tuple[Site, ...]:
     return body_sites(layout, turning(layout), (X, Y))
 
 
+_PAYLOAD = (
+    Constant("added memory", "-", low=0.0, high=0.95),
+    Constant("sink", "m/s", low=0.0),
+    Constant("onset", "s", low=0.0, shapes=True),
+)
+
 EFFECTS = (
     Effect(
         "gravity_sag", "push", (Constant("sink per reach", "1/s", low=0.0),), _lifted_sites((Z,)),
@@ -95,12 +109,14 @@ EFFECTS = (
         "the arm sags under its own weight: it sinks by {sink per reach} times its reach",
     ),
     Effect(
-        "payload", "push",
-        (Constant("added memory", "-", low=0.0, high=0.95), Constant("sink", "m/s", low=0.0),
-         Constant("onset", "s", low=0.0, shapes=True)),
-        _lifted_sites((X, Y, Z, YAW)), _onsets, _payload,
+        "payload", "push", _PAYLOAD, _lifted_sites((X, Y, Z, YAW)), _onsets, _payload(inherited=False),
         "payload: from {onset} on a load is carried; the motion answers slower (added memory {added memory}) and sinks "
-        "by {sink}",
+        "by {sink}", form="own_motion",
+    ),
+    Effect(
+        "payload", "push", _PAYLOAD, _lifted_sites((X, Y, Z, YAW)), _onsets, _payload(inherited=True),
+        "payload: from {onset} on a load is carried, and its velocity in the world is remembered longer (added memory "
+        "{added memory}); it sinks by {sink}", form="inherited",
     ),
     Effect(
         "slope", "push",

@@ -27,7 +27,7 @@ def _outward(axes: int):
 
 
 def _reaches(scales: Scales, site: int) -> list[list[float]]:
-    return [[1 / max(float(scales.reach[site, q]), 1e-3)] for q in (18, 16, 13, 9)]
+    return [[1 / max(float(scales.reach[site, q]), 1e-3)] for q in (19, 18, 16, 13, 9)]
 
 
 def _contact(
@@ -45,8 +45,8 @@ def _contact(
 
 
 def _heights(scales: Scales, site: int) -> list[list[float]]:
-    lowest = float(scales.height[site, 0])
-    return [[max(float(scales.height[site, q]) - lowest, 1e-4)] for q in (1, 3, 6)]
+    above = scales.height[site] - scales.height[site, 0]
+    return [[max(float(c), 1e-4)] for c in (0.3 * above[1], 0.6 * above[1], above[1], above[3], above[6])]
 
 
 def _floored_sites(layout: Layout) -> tuple[Site, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot, advance, remember, sense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.layout import carried_velocity
 from simgap.robots import operator
 from simgap.simulators.spot import Spot
 from simgap.types import Recording
@@ -17,6 +18,7 @@ from simgap.types import Recording
 SPOT = Augmented(Spot())
 PHI = np.array([0.5, 0.5, 0.5, 0.08, 0.08, 0.3, *[0.0] * 12, *[1.0] * 6], np.float32)
 PROCESS = np.array([0.0, 0.0, 0.0, 0.012, 0.012, 0.015, 0.0, 0.0, 0.0, 0.02, 0.02, 0.02])
+ADVANCES = np.array([3, 4, 5, -1, -1, -1, 9, 10, 11, -1, -1, -1])
 SENSOR = np.array([0.002, 0.002, 0.003, 0.012, 0.012, 0.015, 0.003, 0.003, 0.003, 0.02, 0.02, 0.02])
 SCALES = Scales(
     command=np.array([1.0, 0.7, 1.0, 0.6, 0.6, 0.6]), command_step=np.full(6, 0.15), speed=np.full((2, 4), 0.8),
@@ -58,7 +60,10 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
         k4 = jax.random.fold_in(lost_key, (time_s * 15).astype(int) // 4)
         acted = jnp.where(jax.random.bernoulli(k4, lost), sent, u)
         memory, state = advance(SPOT, phi, constants, scales, memory, state, acted, Row(time_s, jnp.ones(())))
-        state = state + noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
+        # What jolts the base carries the hand along, and both have moved by the end of the row.
+        jolt = noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
+        jolt = jolt + carried_velocity(SPOT.layout, state, jolt)
+        state = state + jolt + jnp.where(ADVANCES >= 0, jolt[ADVANCES], 0.0) / 15
         return (state, memory, op, acted), (measured, u)
 
     start = (

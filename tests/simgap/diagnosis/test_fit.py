@@ -113,7 +113,7 @@ def test_columns_are_derivatives_of_the_decorrelated_innovations() -> None:
     groups = (group("gain", (0,)), group("delay", (3, 4, 5)))
     columns = np.concatenate([nuisance_columns(of, v), constant_columns(of, v, groups)])
     free, precision = directions(of, groups)
-    assert len(columns) == len(precision) == 24 + 12 + 2
+    assert len(columns) == len(precision) == 24 + 12 + 44 + 2
     (e,) = trials(of, [v])
     rng = np.random.default_rng(0)
     along = rng.normal(size=len(columns)) * 1e-3

@@ -2,6 +2,7 @@
 
 from functools import cache, reduce
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,13 +38,15 @@ FORGOTTEN = {"sensor_delay": 1e-3}
 
 
 def truth(constants: dict) -> Variables:
-    return Variables(PHI, np.zeros(12, np.float32), theta(constants), np.zeros(len(SPOT.slots), np.float32))
+    return Variables(
+        PHI, np.zeros(12, np.float32), np.zeros(44, np.float32), theta(constants), np.zeros(len(SPOT.slots), np.float32)
+    )
 
 
 def everywhere(key: str) -> dict:
     """An effect at all its sites, at its first start."""
     sites = SPOT.sites[[e.key for e in CATALOGUE].index(key)]
-    if key == "payload":
+    if key.startswith("payload"):
         return acting(key, (0.2, 0.05, 5.0))
     constants: dict = {}
     for s in range(len(sites)):
@@ -106,7 +109,15 @@ def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
     chunks = cut([Recording("a", time_s, np.array(states), command)], DRIVE.time_step)
     none = jnp.zeros(len(augmented.slots))
     as_stamped, as_nominal = (
-        np.abs(innovations(augmented, still, Variables(phi, jnp.zeros(2), c, none), chunks)).max() for c in (on, none)
+        np.abs(
+            innovations(
+                augmented,
+                still,
+                Variables(np.asarray(phi), np.zeros(2), np.zeros(2), np.asarray(c), np.asarray(none)),
+                chunks,
+            )
+        ).max()
+        for c in (on, none)
     )
     assert as_stamped < 1e-5
     assert as_nominal > 1e-4
@@ -211,13 +222,13 @@ def test_tangents_agree_with_finite_differences() -> None:
     constants = {k: v for key in SMOOTH for k, v in everywhere(key).items()}
     v = truth(constants)._replace(gain=rng.normal(size=12).astype(np.float32))
     chunks = cut(nothing_planted(), 1 / 15)
-    phi, gain = (rng.normal(size=(BATCH, n)).astype(np.float32) for n in (24, 12))
-    got = np.asarray(tangents(SPOT, SCALES, v, phi, gain, chunks))
+    phi, gain, cross = (rng.normal(size=(BATCH, n)).astype(np.float32) for n in (24, 12, 44))
+    got = np.asarray(tangents(SPOT, SCALES, v, phi, gain, cross, chunks))
     h = 3e-3
     for i, tangent in enumerate(got[:3]):
+        along = Variables(phi[i], gain[i], cross[i], 0 * v.theta, 0 * v.gated)
         ahead, back = (
-            innovations(SPOT, SCALES, v._replace(phi=v.phi + s * phi[i], gain=v.gain + s * gain[i]), chunks)
-            for s in (h, -h)
+            innovations(SPOT, SCALES, jax.tree.map(lambda a, b, s=s: a + s * b, v, along), chunks) for s in (h, -h)
         )
         difference = (ahead - back) / (2 * h)
         size = np.sqrt((difference**2).mean((0, 1)))

@@ -194,6 +194,12 @@ def by_speed_and_turn(state: jax.Array) -> jax.Array:
     return jnp.zeros(12).at[11].set(0.6 * forward * state[5])
 
 
+@cache
+def nameless(law: Callable[[jax.Array], jax.Array]) -> Diagnosis:
+    recorded = unheard(law, RICH)
+    return diagnose(SPOT, "spot", recorded[:-1], recorded[-1:])
+
+
 def unheard(law: Callable[[jax.Array], jax.Array], seed: int) -> list[Recording]:
     """Sessions of an operated Spot to whose velocities a law adds, and to its positions their integral."""
 
@@ -220,12 +226,16 @@ def unheard(law: Callable[[jax.Array], jax.Array], seed: int) -> list[Recording]
 
 @pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
 def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable, outputs: set[str]) -> None:
-    recorded = unheard(law, RICH)
-    told = diagnose(SPOT, "spot", recorded[:-1], recorded[-1:]).statement
+    told = nameless(law).statement
     assert told["verdict"] == "unexplained"
     assert told["effects"] == []
-    assert told["left_over"]["outputs"]
     assert outputs & {o["name"] for o in told["located"]["outputs"]}
+
+
+def test_what_has_no_name_is_told_by_what_it_leaves_over_and_depends_on() -> None:
+    """Of by_heading; the hand's memory along z, refitted, foretells by_speed_and_turn as far as its past does."""
+    told = nameless(by_heading).statement
+    assert {o["name"] for o in told["left_over"]["outputs"]} & {"ee_x", "ee_vx", "ee_y", "ee_vy"}
     assert told["located"]["depends_on"]
 
 
