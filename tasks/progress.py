@@ -49,7 +49,8 @@ class Bars:
             rate = step / max(self._clock() - start, 1e-9)
             shown = ", ".join(f"{k.replace('_', ' ')} {v:.2f}" for k, v in metrics.items())
             self._progress.update(bar, completed=step, rate=f"{rate:,.0f} steps/s  {shown}")
-            self._say(f"{name}: step {step:,} of at most {steps:,}, {rate:,.0f} steps/s, {shown}")
+            most = f" of at most {steps:,}" if steps else ""
+            self._say(f"{name}: step {step:,}{most}, {rate:,.0f} steps/s{shown and ', '}{shown}")
 
         try:
             yield report

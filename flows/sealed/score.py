@@ -20,15 +20,14 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     """Open the keys and score all cases that were examined."""
     workspace, origin = SealedWorkspace(root, suite), provenance.origin()
     opened = score.open_keys(workspace)
-    manifest = opened.manifest
     with progress.bars(f"score {suite}", 1, time.monotonic) as bars, bars.job(suite, len(opened.keys)) as report:
         found = score.rows(workspace, opened, report)
     table = score.write(workspace, opened, found, params.score, origin.get("git_commit", ""))
     store = provenance.store(EXPERIMENT)
-    with tracking.grid_run(store, f"{suite}-{manifest['code'][:8]}", params.model_dump(), origin) as parent:
+    with tracking.grid_run(store, f"{suite}-{opened.code[:8]}", params.model_dump(), origin) as parent:
         score.log(parent, workspace, opened, table)
     progress.table(f"scores on {suite}", [{"score": s.name, "value": s.value, "n": s.n, "goal": s.goal} for s in table])
-    progress.say(f"report of {suite}: {workspace.report(manifest['code'], manifest['round']) / 'report.md'}")
+    progress.say(f"report of {suite}: {workspace.report(opened.code, opened.manifest['round']) / 'report.md'}")
     progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
 
 

@@ -18,14 +18,16 @@ from tasks.sealed import baselines, figures, metrics, report
 from tasks.sealed.judge import Row, judge, overlap, rows_of
 from tasks.sealed.workspace import SealedWorkspace
 
-MANIFEST_KEYS = ("suite", "round", "code")
-
 
 class Opened(NamedTuple):
-    """The manifest and the keys of a suite, checked against the hashes that were published before."""
+    """The manifest and the keys of a suite, checked against the hashes that were published before.
+
+    code: start of the digest of the code that diagnosed the cases, which may be later than the one they were made with.
+    """
 
     manifest: dict[str, Any]
     keys: dict[str, dict[str, Any]]
+    code: str
 
 
 @task(task_run_name="open-{workspace.suite}")
@@ -38,7 +40,21 @@ def open_keys(workspace: SealedWorkspace) -> Opened:
         keys = seal.unseal(files.read_bytes(workspace.sealed), files.read_bytes(workspace.secret), manifest["keys"])
     except seal.BrokenSealError as error:
         raise SimgapError(f"{workspace.sealed}: {error}") from None
-    return Opened(manifest, keys)
+    return Opened(manifest, keys, _diagnosing(workspace, sorted(keys)))
+
+
+def _diagnosing(workspace: SealedWorkspace, cases: Sequence[str]) -> str:
+    """Start of the digest of the code by which all cases were examined."""
+    records = [files.read_json(workspace.record(c)) for c in cases if workspace.record(c).exists()]
+    codes = sorted({record["fingerprint"].split("-")[0] for record in records})
+    if not codes:
+        raise SimgapError(f"{workspace.examinations}: no case was examined. Run the stage `examine`.")
+    if len(codes) > 1:
+        raise SimgapError(
+            f"{workspace.examinations}: cases were examined by different versions of the code, {', '.join(codes)}; a "
+            "score is of one. Run the stage `examine` again."
+        )
+    return codes[0]
 
 
 @task(task_run_name="judge-{workspace.suite}")
@@ -59,8 +75,6 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         row |= baselines.sparse(state, command, key)
         found.append(row)
         report(len(found), {})
-    if not found:
-        raise SimgapError(f"{workspace.examinations}: no case was examined. Run the stage `examine`.")
     return found
 
 
@@ -81,8 +95,8 @@ def write(
         pictures[row["case"]] = f"failures/{row['case']}.png"
         _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
     about = {
-        "suite": workspace.suite, "diagnosing code": opened.manifest["code"], "round": opened.manifest["round"],
-        "commit": commit or "unknown", "cases": f"{len(found)} of {len(opened.keys)}",
+        "suite": workspace.suite, "diagnosing code": opened.code, "made with the code": opened.manifest["code"][:16],
+        "round": opened.manifest["round"], "commit": commit or "unknown", "cases": f"{len(found)} of {len(opened.keys)}",
     }  # fmt: skip
     text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
     files.write_text(folder / "report.md", text)
@@ -94,7 +108,7 @@ def write(
 
 
 def _folder(workspace: SealedWorkspace, opened: Opened) -> Path:
-    return workspace.report(opened.manifest["code"], opened.manifest["round"])
+    return workspace.report(opened.code, opened.manifest["round"])
 
 
 def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Path, dpi: int) -> None:
@@ -117,7 +131,7 @@ def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Pa
 @task(task_run_name="log-{workspace.suite}", retries=1)
 def log(run: tracking.Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
     """Scores and report of the suite, so that versions of the diagnosis are compared over time."""
-    run.params({name: opened.manifest[name] for name in MANIFEST_KEYS})
+    run.params({"suite": workspace.suite, "round": opened.manifest["round"], "code": opened.code})
     run.scores({_metric(s.name): s.value for s in table if s.n})
     for path in sorted(_folder(workspace, opened).glob("*.*")):
         run.artifact(path)

@@ -111,6 +111,19 @@ def test_every_case_is_scored_and_the_report_is_whole(examined: SealedWorkspace,
     assert "broke off: 1" in text
 
 
+def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(
+    examined: SealedWorkspace, params: SealedParams
+) -> None:
+    path = next(p for p in map(examined.record, sorted(files.read_json(examined.manifest)["keys"])) if p.exists())
+    record = files.read_json(path)
+    files.write_json(path, {**record, "fingerprint": f"0123456789abcdef-{record['fingerprint'].split('-', 1)[1]}"})
+    try:
+        with pytest.raises(SimgapError, match=r"different versions of the code, 0123456789abcdef, .*Run the stage"):
+            score.run.fn("development", params, examined.root)
+    finally:
+        files.write_json(path, record)
+
+
 def test_another_key_than_the_published_one_is_refused(examined: SealedWorkspace, params: SealedParams) -> None:
     closed, published = examined.sealed.read_bytes(), files.read_json(examined.manifest)["keys"]
     secret = examined.secret.read_bytes()
