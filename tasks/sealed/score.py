@@ -96,7 +96,8 @@ def write(
         _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
     about = {
         "suite": workspace.suite, "diagnosing code": opened.code, "made with the code": opened.manifest["code"][:16],
-        "round": opened.manifest["round"], "commit": commit or "unknown", "cases": f"{len(found)} of {len(opened.keys)}",
+        "round": opened.manifest["round"], "commit": commit or "unknown",
+        "cases": f"{len(found)} of {len(opened.keys)}",
     }  # fmt: skip
     text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
     files.write_text(folder / "report.md", text)
