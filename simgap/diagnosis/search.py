@@ -193,8 +193,8 @@ def _highest(problem: Problem, fit: Fit, s: Screened) -> Variables:
             tuple(c if of.shapes else c * share for of, c in zip(constants, s.start, strict=True)) for share in SHARES
         ]
     vs = [vary(fit.v, s.candidate, constants) for constants in near]
-    e = trials(problem, vs)
-    return vs[int(np.argmax([log_density(one, fit.noise).sum() for one in e]))]
+    logliks = [log_density(one, fit.noise).sum() for one in trials(problem, vs)]
+    return vs[int(np.argmax(np.nan_to_num(logliks, nan=-np.inf)))]
 
 
 def search(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from examples.car import CAR
 from examples.drive import DRIVE
-from simgap.layout import Layout, carried_velocity, commanded, motion, push, turned
+from simgap.layout import Layout, carried_velocity, commanded, motion, push, rotated, turned
 from simgap.simulators.spot import SCHEMA as SPOT_SCHEMA
 from simgap.types import Field, Schema
 
@@ -231,3 +231,24 @@ def test_no_part_of_a_push_is_lost_or_counted_twice(heading: float) -> None:
     x, y = turn(np.array([0.3, -0.2]), heading)
     np.testing.assert_allclose(v, [0, 0, 0, x], atol=1e-6)
     np.testing.assert_allclose(p, [0, y, 0.5, 0], atol=1e-6)
+
+
+# What moves together
+
+
+def test_what_is_measured_of_a_body_tells_of_what_it_carries_and_of_nothing_else() -> None:
+    names = [f.name for f in SPOT_SCHEMA.state]
+    akin = {(names[i], names[j]) for i, j in SPOT.akin}
+    assert {("ee_vx", "base_vx"), ("base_vx", "base_x"), ("ee_y", "base_yaw"), ("ee_z", "ee_vz")} <= akin
+    assert not akin & {("ee_z", "base_x"), ("base_x", "base_y"), ("ee_vz", "base_wz")}
+    assert len(akin) == len(SPOT.akin) == 4 * 3 + 6 * 5 + 2
+    assert len(RAIL.akin) == 2
+    assert not BARE.akin
+
+
+@quick
+@given(states, states)
+def test_own_frames_and_back_is_no_turn(state: np.ndarray, vector: np.ndarray) -> None:
+    own = rotated(SPOT, jnp.asarray(vector), jnp.asarray(state), -1.0)
+    np.testing.assert_allclose(rotated(SPOT, own, jnp.asarray(state), 1.0), vector, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(own), np.linalg.norm(vector), rtol=1e-5)

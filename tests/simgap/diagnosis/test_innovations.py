@@ -20,7 +20,9 @@ from simgap.diagnosis.innovations import (
     WARM,
     Variables,
     as_chunks,
+    corrected,
     cut,
+    gain_matrix,
     sent_before,
     tangents,
     wrap,
@@ -241,3 +243,38 @@ def test_chunks_are_made_of_their_fields() -> None:
     again = as_chunks(list(zip(*(np.asarray(a) for a in chunks), strict=True)))
     for a, b in zip(chunks, again, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+# The filter
+
+
+@given(st.integers(0, 10**6), st.floats(-3, 3))
+@settings(max_examples=10, deadline=None)
+def test_the_filter_does_not_know_where_the_world_frame_lies(seed: int, angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    v = truth({})._replace(gain=rng.normal(size=12), cross=0.3 * rng.normal(size=len(SPOT.layout.akin)))
+    x, e = rng.normal(size=(2, 12))
+    K = gain_matrix(SPOT, v)
+    c, s = np.cos(angle), np.sin(angle)
+
+    def turned(a: np.ndarray) -> np.ndarray:
+        """Positions and velocities along the world's x and y in another world frame."""
+        a = a.copy()
+        for i in (0, 3, 6, 9):
+            a[[i, i + 1]] = c * a[i] - s * a[i + 1], s * a[i] + c * a[i + 1]
+        return a
+
+    there = turned(x) + angle * np.eye(12)[2]
+    moved = np.asarray(corrected(SPOT.layout, K, jnp.asarray(there), jnp.asarray(turned(e)))) - there
+    here = np.asarray(corrected(SPOT.layout, K, jnp.asarray(x), jnp.asarray(e))) - x
+    np.testing.assert_allclose(moved, turned(here), atol=1e-3)
+
+
+def test_entries_of_the_gain_are_in_units_of_the_time_step() -> None:
+    v = truth({})._replace(gain=np.zeros(12), cross=np.ones(len(SPOT.layout.akin)))
+    K = np.asarray(gain_matrix(SPOT, v))
+    assert K[3, 0] == pytest.approx(15)  # base_vx by base_x: a metre off is a metre a time step too slow
+    assert K[0, 3] == pytest.approx(1 / 15)
+    assert K[9, 3] == K[6, 0] == 1  # the hand by the base
+    np.testing.assert_allclose(np.diag(K), 0.5)
+    assert K[8, 0] == 0
