@@ -127,6 +127,11 @@ def _turn(xy: Float[Array, " 2"], angle: Float[Array, ""]) -> Float[Array, " 2"]
     return jnp.stack([c * xy[0] - s * xy[1], s * xy[0] + c * xy[1]])
 
 
+def rigid(velocity: Float[Array, " 4"], arm: Float[Array, "..."]) -> Float[Array, " 2"]:
+    """Horizontal velocity of a point at `arm` that moves rigidly with a body."""
+    return velocity[:2] + velocity[YAW] * jnp.stack([-arm[Y], arm[X]])
+
+
 def _take(values: Float[Array, " n"], indices: np.ndarray) -> Float[Array, " k"]:
     return jnp.where(indices >= 0, values[np.maximum(indices, 0)], 0.0)
 
@@ -148,8 +153,8 @@ def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
         own, at = owns[b], jnp.zeros(2)
         if carrier is not None:
             arm = places[b][:2] - places[carrier][:2]
-            moved = worlds[carrier] + rates[carrier][YAW] * jnp.stack([-arm[1], arm[0]])
-            own, at = _turn(worlds[b] - moved, -angles[b]), _turn(arm, -angles[b])
+            carried = rigid(jnp.concatenate([worlds[carrier], rates[carrier][2:]]), arm)
+            own, at = _turn(worlds[b] - carried, -angles[b]), _turn(arm, -angles[b])
         velocities.append(jnp.concatenate([own, rates[b][2:]]))
         positions.append(jnp.concatenate([at, places[b][2:]]))
     return Motion(jnp.stack(velocities), jnp.stack(positions), jnp.stack(angles))
@@ -165,9 +170,7 @@ def carried_velocity(layout: Layout, state: Float[Array, " s"], moving: Float[Ar
         if carrier is None:
             continue
         p, q = _take(state, layout.position[b]), _take(state, layout.position[carrier])
-        v = _take(moving, layout.velocity[carrier])
-        arm = p[:2] - q[:2]
-        xy = v[:2] + v[YAW] * jnp.stack([-arm[1], arm[0]])
+        xy = rigid(_take(moving, layout.velocity[carrier]), p[:2] - q[:2])
         for axis in (X, Y):
             if layout.velocity[b, axis] >= 0:
                 out = out.at[int(layout.velocity[b, axis])].set(xy[axis])

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Site, Step, body_sites, mounted, turning
-from simgap.layout import YAW, Layout, X, Y
+from simgap.layout import YAW, Layout, X, Y, rigid
 
 
 def _carriers(layout: Layout) -> list[tuple[int, int]]:
@@ -54,17 +54,12 @@ def _arm_moment(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     return out
 
 
-def _rigid(velocity: Float[Array, " 4"], arm: Float[Array, " 3"]) -> Float[Array, " 2"]:
-    """Velocity of a point at `arm` that moves rigidly with its carrier."""
-    return velocity[:2] + velocity[YAW] * jnp.stack([-arm[Y], arm[X]])
-
-
 def _base_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """The mounted body's -c (V' - V): it stays behind its carrier's acceleration at its place."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         arm = step.now.position[b]
-        change = _rigid(step.then.velocity[carrier], arm) - _rigid(step.now.velocity[carrier], arm)
+        change = rigid(step.then.velocity[carrier], arm) - rigid(step.now.velocity[carrier], arm)
         out = out.at[b, :2].add(-c[0, k] * change)
     return out
 

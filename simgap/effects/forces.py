@@ -16,7 +16,7 @@ from simgap.effects.effect import (
     turning,
 )
 from simgap.effects.resistance import speed
-from simgap.layout import YAW, Layout, X, Y, Z, commanded
+from simgap.layout import YAW, Layout, X, Y, Z, commanded, rigid
 
 
 def _lifted(layout: Layout) -> list[int]:
@@ -47,8 +47,7 @@ def _payload(inherited: bool):
             u = jnp.where(layout.command[b] >= 0, u, now.velocity[b])
             v = now.velocity[b]
             if inherited:
-                carrier, arm = now.velocity[layout.carrier[b]], now.position[b]
-                v = v.at[:Z].add(carrier[:Z] + carrier[YAW] * jnp.stack([-arm[Y], arm[X]]))
+                v = v.at[:Z].add(rigid(now.velocity[layout.carrier[b]], now.position[b]))
             out = out.at[b].add(-on * c[0, k] * (u - v))
             out = out.at[b, Z].add(-on * c[1, k])
         return out
