@@ -98,12 +98,8 @@ def _judged(
     if fitted is None or unseen is None:
         return Judgement({}, {})
     fitted, unseen = fitted._replace(gate=gate(fitted, found.when)), seen_at(unseen, found.when)
-    noises = {name: judge.one_step_noise(found.problem, c, fitted) for name, c in contestants.items()}
-    judged = [
-        {name: judge.judge(found.problem, c, noises[name], pieces) for name, c in contestants.items()}
-        for pieces in (unseen, fitted)
-    ]
-    return Judgement(*judged)
+    judged = {name: judge.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
+    return Judgement({name: held for name, (held, _) in judged.items()}, {name: on for name, (_, on) in judged.items()})
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan | None:

@@ -53,25 +53,32 @@ class Judgement(NamedTuple):
     fitted: dict[str, Judged]
 
 
-def judge(problem: Problem, contestant: Contestant, noise: Noise | None, pieces: Chunks) -> Judged:
-    """Judge on pieces of sessions; `noise` is that of one step, see `one_step_noise`."""
+def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chunks) -> tuple[Judged, Judged]:
+    """A contestant on pieces of held-out sessions and of those it was fitted to, whose rows give its one-step noise."""
+    missed = _missed(problem, contestant, fitted)
+    e = missed.error[:, 0] @ problem.whiten.T
+    finite = np.isfinite(e).all(1)
+    noise = fit_noise(e[finite]) if finite.any() else None
+    unseen = _missed(problem, contestant, heldout)
+    return _scored(problem, unseen, noise), _scored(problem, missed, noise)
+
+
+def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
+    """What forecasts miss; their likelihood is still open."""
     predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
     error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))
     start = np.asarray(pieces.state)[:, -measured.shape[1] - 1]
     moved = np.asarray(wrap(problem.augmented, measured[:, steps] - start[:, None]))
-    nll = np.full(len(error), np.nan)
-    if noise is not None:
-        e = error[:, 0] @ problem.whiten.T
-        nll = -log_density(e, noise).sum(1) - np.linalg.slogdet(problem.whiten)[1]
-    return Judged(error, moved, nll, pieces.session)
+    return Judged(error, moved, np.full(len(error), np.nan), pieces.session)
 
 
-def one_step_noise(problem: Problem, contestant: Contestant, pieces: Chunks) -> Noise | None:
-    """Noise of predictions over a step, from pieces of training sessions; None where none is finite."""
-    first = forecasts(problem, contestant, pieces)[:, 0]
-    e = np.asarray(wrap(problem.augmented, _measured(pieces)[:, 0] - first)) @ problem.whiten.T
-    return fit_noise(e[np.isfinite(e).all(1)]) if np.isfinite(e).any() else None
+def _scored(problem: Problem, missed: Judged, noise: Noise | None) -> Judged:
+    """With the negative log-likelihood of one step; none was finite where there is no noise."""
+    if noise is None:
+        return missed
+    e = missed.error[:, 0] @ problem.whiten.T
+    return missed._replace(nll=-log_density(e, noise).sum(1) - np.linalg.slogdet(problem.whiten)[1])
 
 
 def _measured(pieces: Chunks) -> np.ndarray:
