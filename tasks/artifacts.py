@@ -23,14 +23,14 @@ class Progress:
 
     def __init__(self, what: str, total: int) -> None:
         self._what, self._total = what, total
-        made = _told(lambda: create_progress_artifact(progress=0.0, description=self._told(0)))
+        made = _tell(lambda: create_progress_artifact(progress=0.0, description=self._told(0)))
         self._id = made if isinstance(made, UUID) else None
 
     def done(self, count: int) -> None:
         """So many are done by now."""
         told, made = 100.0 * count / self._total, self._id
         if made:
-            _told(lambda: update_progress_artifact(made, told, self._told(count)))
+            _tell(lambda: update_progress_artifact(made, told, self._told(count)))
 
     def _told(self, count: int) -> str:
         return f"{self._what}: {count} of {self._total}"
@@ -38,20 +38,20 @@ class Progress:
 
 def table(key: str, rows: Sequence[dict[str, Any]], description: str) -> None:
     """Rows of the same keys as a table; Markdown in a value, such as a link, is shown as such."""
-    _told(lambda: create_table_artifact(table=list(rows), key=key, description=description))
+    _tell(lambda: create_table_artifact(table=list(rows), key=key, description=description))
 
 
 def links(key: str, places: dict[str, str], description: str) -> None:
     """Where things are: words and addresses or paths; an empty one is left out."""
     lines = [f"- {what}: {f'[{place}]({place})' if place.startswith('http') else f'`{place}`'}"
              for what, place in places.items() if place]  # fmt: skip
-    _told(lambda: create_markdown_artifact(markdown="\n".join([description, "", *lines]), key=key))
+    _tell(lambda: create_markdown_artifact(markdown="\n".join([description, "", *lines]), key=key))
 
 
-def _told(tell: Callable[[], Any]) -> Any:
+def _tell(call: Callable[[], Any]) -> Any:
     """What telling Prefect's server gives; None where the server is gone, which is said."""
     try:
-        return tell()
+        return call()
     except httpx.HTTPError as error:
         progress.say(f"warning: Prefect's pages were not told ({error or type(error).__name__}); the work goes on.")
         return None

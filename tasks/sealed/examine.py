@@ -40,6 +40,11 @@ def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> 
     return f"{code[:16]}-{recorded}-{seed}"
 
 
+def code_of(mark: str) -> str:
+    """Start of the digest of the code in a fingerprint."""
+    return mark.partition("-")[0]
+
+
 def finished(workspace: SealedWorkspace, case: str, mark: str) -> bool:
     """Whether the case was diagnosed with the same code; one that failed or left no whole files is tried again."""
     record = _whole(workspace.record(case)) or {}
@@ -112,7 +117,8 @@ def examine_case(
     finally:
         idle.put(examiner)
     error = answer.get("error")
-    record = {"fingerprint": marks[case], "seconds": answer.get("seconds"), "error": error}
+    mark = marks[case]
+    record = {"fingerprint": mark, "code": code_of(mark), "seconds": answer.get("seconds"), "error": error}
     files.write_json(workspace.record(case), record)
     return error
 

@@ -46,7 +46,7 @@ def open_keys(workspace: SealedWorkspace) -> Opened:
 def _diagnosing(workspace: SealedWorkspace, cases: Sequence[str]) -> str:
     """Start of the digest of the code by which all cases were examined."""
     records = [files.read_json(workspace.record(c)) for c in cases if workspace.record(c).exists()]
-    codes = sorted({record["fingerprint"].split("-")[0] for record in records})
+    codes = sorted({record["code"] for record in records})
     if not codes:
         raise SimgapError(f"{workspace.examinations}: no case was examined. Run the stage `examine`.")
     if len(codes) > 1:
