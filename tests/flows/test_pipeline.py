@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from mlflow import MlflowClient
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
 from tasks import files, transitions
+from tasks.params import load_params
 from tasks.policy import input_columns as input_columns_of_policies
 from tasks.train import input_columns
 from tasks.workspace import Cell, Share, Workspace
@@ -55,23 +56,28 @@ CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
 DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
 
 
+REPRODUCE = ("flows.reproduce", "virtual", "--workspace", "w")
+SWEEP = ("flows.command", "sweep", "virtual", "--name", "w")
+
+
 def start(
-    folder: Path, overrides: dict[str, Any], environment: Mapping[str, str] = os.environ
+    folder: Path,
+    overrides: dict[str, Any],
+    environment: Mapping[str, str] = os.environ,
+    command: Sequence[str] = REPRODUCE,
 ) -> subprocess.Popen[bytes]:
-    """`make run`'s command in a folder of its own, that holds its MLflow store and what is printed as well.
+    """A command in a folder of its own, which holds its parameters, its MLflow store and what is printed as well.
 
     A process group of its own: killed with SIGKILL, a run leaves what it started. Where the environment names no
     Prefect server, it starts one.
     """
     folder.mkdir(exist_ok=True)
-    (folder / "params.yaml").write_text((ROOT / "params.yaml").read_text())
-    (folder / "overrides.yaml").write_text(yaml.safe_dump(overrides))
-    command = [sys.executable, "-m", "flows.reproduce", "virtual", "--overrides", "overrides.yaml", "--workspace", "w"]
+    params = load_params(ROOT / "params.yaml", overrides).model_dump(mode="json")
+    (folder / "params.yaml").write_text(yaml.safe_dump(params))
     environment = {**environment, "PYTHONPATH": str(ROOT)}
     with (folder / "output.txt").open("wb") as output:
-        return subprocess.Popen(
-            command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
-        )
+        return subprocess.Popen([sys.executable, "-m", *command], cwd=folder, env=environment, stdout=output,
+                                stderr=subprocess.STDOUT, start_new_session=True)  # fmt: skip
 
 
 def finish(process: subprocess.Popen[bytes], folder: Path) -> tuple[int, str]:
@@ -165,8 +171,9 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
 def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
     tmp_path: Path, prefect_server: dict[str, str]
 ) -> None:
-    process = start(tmp_path, TINY, prefect_server)
-    models = tmp_path / "w" / "models" / "virtual"
+    """A sweep, which trains and scores and does nothing besides; `test_killed` has every stage."""
+    process = start(tmp_path, TINY, prefect_server, SWEEP)
+    models = tmp_path / "sweeps" / "w" / "models" / "virtual"
     deadline = time.monotonic() + 300
     while len(list(models.glob("*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.05)
@@ -175,7 +182,7 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
     before = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert 2 <= len(before) < len(CELLS), "the run was to be killed with some cells done and some not"
 
-    status, output = finish(start(tmp_path, TINY, prefect_server), tmp_path)
+    status, output = finish(start(tmp_path, TINY, prefect_server, SWEEP), tmp_path)
     assert status == 0, output
     after = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert len(after) == len(CELLS)
@@ -190,33 +197,23 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
     assert sorted(grids) == ["FINISHED", "KILLED"]
 
 
-def test_a_failed_cell_is_named_and_loses_no_other(tmp_path: Path, prefect_server: dict[str, str]) -> None:
-    policy = {**TINY["policy"], "models": ["sim_model"], "sample_sizes": [40]}
-    train = {**TINY["train"], "sample_sizes": [40, 100_000], "models": ["sim_model"]}
-    overrides = {**TINY, "train": train, "policy": policy}
-    stale = Workspace(tmp_path / "w", "virtual").record(Cell("student_t", "sim_model", 100_000, 0))
-    files.write_json(stale, {"fingerprint": "of other parameters"})
-    status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
-    assert status == 1
-    assert "1 of 2 cells failed" in output
-    assert "N = 100000 transitions are asked for" in output
-    table = pd.read_csv(tmp_path / "w" / "reports" / "virtual" / "scores.csv")
-    assert table["sample_size"].tolist() == [40]
-    assert not stale.exists()
-
-
 def test_models_that_are_given_a_diagnosis(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str]
 ) -> None:
-    """One diagnosis serves both; where the recordings are too few for it, their cells fail and lose no other."""
+    """One diagnosis serves both; where the recordings are too few, cells fail, are named and lose no other."""
     train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
     policy = {**TINY["policy"], "models": ["sim_model_diagnosed"], "sample_sizes": [80, 100_000]}
     overrides = {**TINY, "train": train, "policy": policy}
+    workspace = Workspace(tmp_path / "w", "virtual")
+    stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
+    files.write_json(stale, {"fingerprint": "of other parameters"})
     status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
     assert status == 1
     assert "3 of 6 cells failed" in output
     assert "1 of 2 policies failed" in output
-    workspace = Workspace(tmp_path / "w", "virtual")
+    assert "N = 100000 transitions are asked for" in output
+    assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80]
+    assert not stale.exists()
     assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
     found = files.read_json(workspace.effects(Share(80, 0)))["effects"]
 
