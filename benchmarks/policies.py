@@ -38,6 +38,7 @@ from simgap.recordings import Normalisation
 from tasks.params import load_params
 
 ROOT = Path(__file__).parents[1]
+UV = Path(sys.executable).with_name("uv")
 OUTPUT = ROOT / "benchmarks" / "policies.json"
 CYCLES = 6
 """Of 1,024 updates, timed at once."""
@@ -99,8 +100,8 @@ def install(rival: str, folder: Path) -> Path:
     """The Python of a rival's own environment."""
     python = folder / rival / "bin" / "python"
     if not python.exists():
-        subprocess.run(["uv", "venv", "--quiet", "--python", "3.11", folder / rival], check=True)
-        subprocess.run(["uv", "pip", "install", "--quiet", "--python", python, *RIVALS[rival]], check=True)
+        subprocess.run([UV, "venv", "--quiet", "--python", "3.11", folder / rival], check=True)
+        subprocess.run([UV, "pip", "install", "--quiet", "--python", python, *RIVALS[rival]], check=True)
     return python
 
 
