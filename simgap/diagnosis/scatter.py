@@ -223,32 +223,27 @@ def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _
 
 
 def _stepping(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
-    """A peak in the periodogram of a velocity's innovations, over the level of its neighbours."""
-    fields = problem.augmented.simulator.schema.state
-    velocities = [i for i, f in enumerate(fields) if f.kind == "velocity"]
+    """A peak in the periodogram of an output's innovations, over the level of its neighbours."""
     power, count = _periodogram(problem, fit)
-    found = _peak(power[:, velocities], count)
+    found = _peak(power, count)
     if found is None:
         return None
     k, best, gain, amplitude = found
     there, segments = _periodogram(problem._replace(chunks=unseen), fit)
-    level = _neighbours(there[:, velocities[best]])[k] if segments else 1.0
-    held = float(there[k, velocities[best]] / level - segments) if segments else 0.0
+    level = _neighbours(there[:, best])[k] if segments else 1.0
+    held = float(there[k, best] / level - segments) if segments else 0.0
     if held <= 0:
         return None
-    hertz = k / (SEGMENT * problem.scales.time_step)
-    width = 0.5 / (SEGMENT * problem.scales.time_step)
-    name = fields[velocities[best]].name
+    field, hertz = problem.augmented.simulator.schema.state[best], k / (SEGMENT * problem.scales.time_step)
+    width, unit = 0.5 / (SEGMENT * problem.scales.time_step), field.unit
+    if field.kind != "velocity":
+        amplitude, unit = 2 * np.pi * hertz * amplitude, f"{unit}/s"
     constants = [
-        {"name": "amplitude", "value": amplitude, "unit": fields[velocities[best]].unit,
-         "ci95": [0.7 * amplitude, 1.4 * amplitude]},
+        {"name": "amplitude", "value": amplitude, "unit": unit, "ci95": [0.7 * amplitude, 1.4 * amplitude]},
         {"name": "frequency", "value": hertz, "unit": "Hz", "ci95": [hertz - width, hertz + width]},
-    ]  # fmt: skip
-    return Scatter(
-        "gait_oscillation", constants, (name,),
-        f"The body shakes periodically, at {hertz:.2f} Hz with about {amplitude:.2g} {fields[velocities[best]].unit} "
-        f"({name}), as stepping does.", gain, held,
-    )  # fmt: skip
+    ]
+    said = f"The body shakes periodically, at {hertz:.2f} Hz with about {amplitude:.2g} {unit} ({field.name})"
+    return Scatter("gait_oscillation", constants, (field.name,), f"{said}, as stepping does.", gain, held)
 
 
 def _periodogram(problem: Problem, fit: Fit) -> tuple[Float[np.ndarray, "f s"], int]:

@@ -9,6 +9,7 @@ from small import RICH, problem, sessions
 from simgap.diagnosis.fit import evaluate, start, whitening
 from simgap.diagnosis.innovations import cut
 from simgap.diagnosis.scatter import SEGMENT, Scatter, scatter
+from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording
 
 AMPLITUDE, RATE = 0.05, 15.0
@@ -20,7 +21,8 @@ def shaken(recordings: list[Recording], output: int, hertz: float) -> list[Recor
     out = []
     for phase, r in enumerate(recordings):
         state = r.state.copy()
-        state[:, output] += AMPLITUDE * np.sin(2 * np.pi * hertz * r.time_s + phase)
+        amplitude = AMPLITUDE if SCHEMA.state[output].kind == "velocity" else AMPLITUDE / (2 * np.pi * hertz)
+        state[:, output] += amplitude * np.sin(2 * np.pi * hertz * r.time_s + phase)
         out.append(r._replace(state=state))
     return out
 
@@ -38,7 +40,10 @@ def stepping(training: list[Recording], heldout: list[Recording]) -> list[Scatte
     return [s for s in told(training, heldout) if s.id == "gait_oscillation"]
 
 
-@pytest.mark.parametrize(("output", "name", "hertz"), [(4, "base_vy", 1.8), (11, "ee_vz", 1.8), (4, "base_vy", 3.1)])
+@pytest.mark.parametrize(
+    ("output", "name", "hertz"),
+    [(4, "base_vy", 1.8), (11, "ee_vz", 1.8), (4, "base_vy", 3.1), (8, "ee_z", 1.8)],
+)
 def test_planted_stepping_is_told_with_its_frequency(output: int, name: str, hertz: float) -> None:
     (found,) = stepping(*(shaken(s, output, hertz) for s in sessions({})))
     amplitude, frequency = found.constants
