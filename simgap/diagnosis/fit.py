@@ -18,12 +18,12 @@ from simgap.effects.effect import Scales
 from simgap.types import DivergenceError
 
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
-BATCH = 8
-"""Directions or trials that are evaluated side by side: one number, for each is compiled anew."""
+BATCH = 16
+"""Directions whose derivatives are computed side by side: one number, for each is compiled anew."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
-STEPS = (1.0, 0.5, 0.2, 0.05)
-"""Shares of a Gauss-Newton step that are tried."""
+STEPS = ((1.0, 0.5), (0.2, 0.05))
+"""Shares of a Gauss-Newton step that are tried; the later ones where the first do not lead uphill."""
 CONVERGED = 0.05
 """Gain [nats] below which iterations end."""
 HELD = 4
@@ -80,24 +80,31 @@ def weights(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s
 
 
 def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
-    """Scale by expectation maximisation for every dof of `DOFS`, and the dof of greatest likelihood."""
+    """Scale for every dof of `DOFS`, each from where the one before ended, and the dof of greatest likelihood."""
     squared = np.maximum(e.T.astype(np.float32) ** 2, np.float32(1e-30))
-    start = np.maximum(np.median(squared, axis=-1) * 2, 1e-18)
-    found = [_fit_scale(squared, start, float(dof)) for dof in DOFS]
-    best = np.array([total for _, total in found]).argmax(0)
+    variance, found = np.maximum(np.median(squared, axis=-1) * 2, 1e-18), []
+    for dof in DOFS:
+        variance, density = _fit_scale(squared, variance, float(dof))
+        found.append((variance, density))
+    best = np.array([density for _, density in found]).argmax(0)
     return Noise(np.sqrt(np.array([v for v, _ in found])[best, np.arange(e.shape[1])]), DOFS[best])
 
 
 def _fit_scale(
     squared: Float[np.ndarray, "s n"], variance: Float[np.ndarray, " s"], dof: float
 ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, " s"]]:
-    """Squared scale of t noise with so many degrees of freedom, and the mean log-density with it."""
+    """Squared scale of t noise with so many degrees of freedom, and the mean log-density with it.
+
+    Parameter-expanded EM [Liu, Rubin & Wu 1998]: v <- mean(w x^2) / mean(w) with w = 1 / (dof + x^2 / v), where
+    mean(w x^2) = v (1 - dof mean(w)).
+    """
     work = np.empty_like(squared)
-    for _ in range(12):
+    for _ in range(6):
         np.divide(squared, variance[:, None].astype(np.float32), out=work)
         work += np.float32(dof)
-        np.divide(squared, work, out=work)
-        variance = (dof + 1) * work.mean(-1, dtype=np.float64) + 1e-18
+        np.reciprocal(work, out=work)
+        mean = work.mean(-1, dtype=np.float64)
+        variance = variance * np.maximum(1 / mean - dof, 0.0) + 1e-18
     np.divide(squared, (dof * variance[:, None]).astype(np.float32), out=work)
     tails = np.log1p(work, out=work).mean(-1, dtype=np.float64)
     density = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * variance)
@@ -154,38 +161,34 @@ def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Fl
 def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s"]:
     """Derivatives of the decorrelated innovations by phi (in ranges) and K."""
     free, _ = directions(problem, ())
-    along = lambda d: tangents(problem.augmented, problem.scales, v, d.phi, d.gain, d.cross, problem.chunks)  # noqa: E731
-    return _in_batches(problem, free, along)
-
-
-def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
-    """Innovations in the outputs' own units, zero in rows that do not count."""
-    several = stacked([v] * BATCH)
-    return np.asarray(innovations_of(problem.augmented, problem.scales, several, problem.chunks)[0])
-
-
-def stacked(vs: Sequence[Variables]) -> Variables:
-    """Several values of the variables as one, with a leading axis."""
-    return Variables(*(np.stack(arrays) for arrays in zip(*vs, strict=True)))
-
-
-def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:
-    """Decorrelated innovations of several values of the variables."""
-    of = lambda v: innovations_of(problem.augmented, problem.scales, v, problem.chunks)  # noqa: E731
-    return _in_batches(problem, stacked(vs), of)
-
-
-def _in_batches(problem: Problem, many: Variables, function: Callable) -> np.ndarray:
-    count = len(many.phi)
+    count = len(free.phi)
 
     def batch(first: int) -> np.ndarray:
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + BATCH), count - 1)
-        raw = counted(problem.chunks, function(Variables(*(a[index] for a in many))))
-        with np.errstate(over="ignore", invalid="ignore"):  # a trial may explode; it is then not taken
-            return (raw @ problem.whiten.T.astype(np.float32))[: count - first]
+        along = (a[index] for a in (free.phi, free.gain, free.cross))
+        raw = tangents(problem.augmented, problem.scales, v, *along, problem.chunks)
+        return _decorrelated(problem, raw)[: count - first]
 
     return np.concatenate(side_by_side(batch, range(0, count, BATCH)))
+
+
+def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
+    """Innovations in the outputs' own units, zero in rows that do not count."""
+    return np.asarray(innovations_of(problem.augmented, problem.scales, v, problem.chunks))
+
+
+def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:
+    """Decorrelated innovations of several values of the variables.
+
+    One by one: what a value's laws cost is paid for that value alone, and nothing is gained side by side.
+    """
+    return np.stack(side_by_side(lambda v: _decorrelated(problem, raw_innovations(problem, v)), vs))
+
+
+def _decorrelated(problem: Problem, raw: Any) -> Float[np.ndarray, "... n s"]:
+    with np.errstate(over="ignore", invalid="ignore"):  # a trial may explode; it is then not taken
+        return counted(problem.chunks, raw) @ problem.whiten.T.astype(np.float32)
 
 
 def side_by_side(function: Callable, items: Iterable) -> list:
@@ -265,8 +268,6 @@ def gauss_newton(
     gradient = (weighted @ fit.e.reshape(-1)).astype(np.float64) + precision * offset
     hessian += 1e-6 * np.diag(np.diag(hessian)) + 1e-9 * np.eye(len(hessian))
     delta = -np.linalg.solve(hessian, gradient)
-    moved = [_moved(problem, fit.v, fit.groups, share * delta) for share in STEPS]
-    e = trials(problem, moved)
 
     def value(e: np.ndarray, v: Variables) -> float:
         if not np.isfinite(e).all():
@@ -274,19 +275,24 @@ def gauss_newton(
         away = _prior_offset(problem, v, fit.groups)
         return float(log_density(e, fit.noise).sum()) - 0.5 * float(precision @ away**2)
 
-    values = [value(e[i], v) for i, v in enumerate(moved)]
-    best = int(np.argmax(values))
-    if values[best] <= value(fit.e, fit.v):
-        return fit
-    noise = fit_noise(e[best])
-    return Fit(moved[best], fit.groups, e[best], noise, float(log_density(e[best], noise).sum()))
+    now = value(fit.e, fit.v)
+    for shares in STEPS:
+        moved = [_moved(problem, fit.v, fit.groups, share * delta) for share in shares]
+        e = trials(problem, moved)
+        values = [value(e[i], v) for i, v in enumerate(moved)]
+        best = int(np.argmax(values))
+        if values[best] > now:
+            noise = fit_noise(e[best])
+            return Fit(moved[best], fit.groups, e[best], noise, float(log_density(e[best], noise).sum()))
+    return fit
 
 
-def refine(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], iterations: int) -> Fit:
-    """Gauss-Newton with the derivatives by phi and K held, those by constants renewed."""
+def refine(problem: Problem, fit: Fit, held: Float[np.ndarray, "M n s"], iterations: int) -> Fit:
+    """Gauss-Newton with some derivatives held, those by phi, K and the first of the constants, the others renewed."""
     _, precision = directions(problem, fit.groups)
+    renewed = fit.groups[len(held) + len(fit.groups) - len(precision) :]
     for _ in range(iterations):
-        columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
+        columns = np.concatenate([held, constant_columns(problem, fit.v, renewed)])
         improved = gauss_newton(problem, fit, columns, precision)
         gain = improved.loglik - fit.loglik
         fit = improved
@@ -295,11 +301,11 @@ def refine(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], ite
     return fit
 
 
-def optimise(problem: Problem, fit: Fit) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
-    """Gauss-Newton to its end; returns the derivatives by phi and K there as well.
+def optimise(problem: Problem, fit: Fit, enough: float = CONVERGED) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
+    """Gauss-Newton until its steps gain less than `enough` [nats]; returns the derivatives by phi and K as well.
 
-    The derivatives by phi and K cost as much as ten steps with them: they are renewed only when they have led as far
-    as they can. Raises DivergenceError when the start leaves the finite numbers.
+    These cost as much as ten steps with them: they are renewed only when they have led as far as they can. Raises
+    DivergenceError when the start leaves the finite numbers.
     """
     if not np.isfinite(fit.loglik):
         raise DivergenceError(
@@ -311,7 +317,7 @@ def optimise(problem: Problem, fit: Fit) -> tuple[Fit, Float[np.ndarray, "M n s"
         improved = refine(problem, fit, nuisance, HELD)
         gain = improved.loglik - fit.loglik
         fit = improved
-        if gain < CONVERGED:
+        if gain < enough:
             break
         nuisance = nuisance_columns(problem, fit.v)
     return fit, nuisance

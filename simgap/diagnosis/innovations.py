@@ -177,10 +177,9 @@ def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chu
 
 
 @partial(jax.jit, static_argnames="augmented")
-def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "M C T-1 s"]:
-    """Innovations in the outputs' units, zero in rows that do not count, for M values of the variables side by side."""
-    active = augmented.active(v.theta, v.gated)
-    return jax.vmap(lambda v: _all(augmented, scales, v, active, chunks))(v)
+def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """Innovations in the outputs' units, zero in rows that do not count."""
+    return _all(augmented, scales, v, augmented.active(v.theta, v.gated), chunks)
 
 
 @partial(jax.jit, static_argnames="augmented")

@@ -12,11 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.candidates import Candidate
-from simgap.diagnosis.fit import BATCH, Fit, Problem, replaced, side_by_side, trials, weights
+from simgap.diagnosis.fit import Fit, Problem, replaced, side_by_side, trials, weights
 from simgap.diagnosis.innovations import Variables
 
 BLOCK = 20
 """Rows whose scores are taken to be dependent."""
+PART = 8
+"""Directions that are kept in memory at once, and the most promising ones, which are tested where they lead to."""
 DRAWS = 4000
 NOTHING = 1e-4
 """Squared length of a direction [nats] that is nothing at all."""
@@ -106,10 +108,10 @@ def screen(
             tested = [_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True)]
         return [t for t in tested if t is not None]
 
-    parts = [directions[first : first + BATCH] for first in range(0, len(directions), BATCH)]
+    parts = [directions[first : first + PART] for first in range(0, len(directions), PART)]
     results = [t for part in side_by_side(batch, parts) for t in part]
     # A strong effect is another direction where it stands than near nil: the most promising are tested there as well.
-    best = sorted((s for s, _ in results), key=lambda s: -s.gain)[:BATCH]
+    best = sorted((s for s, _ in results), key=lambda s: -s.gain)[:PART]
     results += batch([_Direction(s.candidate, s.start, s.constant) for s in best])
     found, scores = [s for s, _ in results], [score for _, score in results]
     noise = _best_of_noise(np.array(scores), rng)

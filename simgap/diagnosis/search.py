@@ -41,6 +41,9 @@ SHARES = tuple(np.geomspace(1, 0.02, 8))
 """Of the amplitude that the screening expects, where a fit may start."""
 CONTENDER = 0.5
 """and to its end where it gains this share of what the best gains."""
+SETTLED = 1.0
+SETTLED_SHARE = 0.01
+"""Nats, and share of its gain, below which what a finalist still gains decides nothing."""
 
 Say = Callable[[str], None]
 """`say(line)`: what is being tried."""
@@ -124,14 +127,15 @@ def least(problem: Problem, base: Fit, fit: Fit, better: Fit) -> float:
 
 def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say) -> Round:
     """Screen all hypotheses, fit the most promising, carry the best of those to the end."""
-    problem, fit, nuisance = model
+    problem, fit, _ = model
     taken = {(entry, group.gated) for group in fit.groups for entry in group.entries}
     free = [c for c in candidates if not taken & {(e, g.gated) for g in c.groups for e in g.entries}]
-    screening = screen(problem, fit, absorbing(model), free, LEVEL, rng)
+    held = absorbing(model)
+    screening = screen(problem, fit, held, free, LEVEL, rng)
     say(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
     if screening.p_value > LEVEL:
         return Round(screening, [])
-    tried = side_by_side(lambda s: _try(problem, fit, nuisance, s, 3), _promising(screening.found))
+    tried = side_by_side(lambda s: _try(problem, fit, held, s, 3), _promising(screening.found))
     # Where an effect and phi have to move together the derivatives at hand do not lead there: what the screening
     # expects most of is fitted to the end.
     expected = tried[0].candidate if tried else None
@@ -140,12 +144,15 @@ def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Gener
     def further(t: Tried, fit_further: Callable[[Fit], Fit]) -> Tried:
         return Tried.of(t.candidate, fit_further(t.fit), t.without)
 
-    finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, nuisance, HELD)), tried[:FINALISTS])
+    finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
     # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
     far = CONTENDER * max((t.gain for t in finalists), default=0.0)
 
     def to_its_end(t: Tried) -> Tried:
-        return t if t.gain < far and t.candidate is not expected else further(t, lambda f: optimise(problem, f)[0])
+        if t.gain < far and t.candidate is not expected:
+            return t
+        enough = max(SETTLED, SETTLED_SHARE * t.gain)
+        return further(t, lambda f: optimise(problem, f, enough)[0])
 
     finalists = side_by_side(to_its_end, finalists)
     tried = sorted([*finalists, *tried[FINALISTS:]], key=lambda t: -t.gain)
@@ -170,15 +177,15 @@ def _promising(found: Sequence[Screened]) -> list[Screened]:
     return chosen
 
 
-def _try(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], s: Screened, iterations: int) -> Tried:
+def _try(problem: Problem, fit: Fit, held: Float[np.ndarray, "M n s"], s: Screened, iterations: int) -> Tried:
     v = _highest(problem, fit, s)
     twin = tuple(g for g in s.candidate.twin if g not in fit.groups)
     begun = evaluate(problem, v, (*fit.groups, *twin, *s.candidate.groups), fit.noise)
-    done, rest = refine(problem, begun, nuisance, iterations), fit
+    done, rest = refine(problem, begun, held, iterations), fit
     if twin:
         there = vary(fit.v, s.candidate._replace(groups=s.candidate.twin), s.start)
         begun = evaluate(problem, there, (*fit.groups, *twin), fit.noise)
-        rest = max(fit, refine(problem, begun, nuisance, iterations + HELD), key=lambda f: f.loglik)
+        rest = max(fit, refine(problem, begun, held, iterations + HELD), key=lambda f: f.loglik)
     return Tried.of(s.candidate, done, rest)
 
 

@@ -1,8 +1,8 @@
 """A simulator with all effects of the catalogue at all their sites; with all constants zero it is the simulator.
 
-Laws at whose constants are zero are nil, and yet take their time. `active` says which effects act at all, so that the
-others cost nothing: a batch of which few effects have constants is several times faster so. It must be the same for
-the whole batch, for under `vmap` a condition that differs computes both branches.
+Laws whose constants are zero are nil, and yet take their time. `active` says which effects act at all, so that the
+others cost nothing. It must be the same for all that is computed side by side, for under `vmap` a condition that
+differs computes both branches.
 """
 
 from collections.abc import Callable, Sequence
@@ -75,10 +75,10 @@ class Augmented:
         """Index in the catalogue of the effect that each entry of theta belongs to."""
         return np.array([slot.effect for slot in self.slots], int)
 
-    def active(self, *thetas: Float[Array | np.ndarray, "... P"]) -> Bool[Array, " effects"]:
-        """The effects that have a constant other than zero in any of these, batches included."""
-        on = sum(jnp.any(jnp.asarray(theta) != 0, axis=range(theta.ndim - 1)) for theta in thetas)
-        return jnp.zeros(len(CATALOGUE), int).at[self.effect_of].max(on) > 0
+    def active(self, *thetas: Float[Array | np.ndarray, " P"]) -> Bool[Array, " effects"]:
+        """The effects that have a constant other than zero in any of these."""
+        on = jnp.any(jnp.stack([jnp.asarray(theta) for theta in thetas]) != 0, axis=0)
+        return jnp.zeros(len(CATALOGUE), bool).at[self.effect_of].max(on)
 
     def laws(self, theta: Theta, active: Active, *places: str) -> list["Law"]:
         """The effects of some places that have sites.

@@ -1,13 +1,11 @@
 """Planted recordings of one small size, so that all tests share what is compiled for it; and what is found in them."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from planted import SPOT, recordings
 
 from simgap.diagnosis import explain as explanation
 from simgap.diagnosis.explain import Explanation
-from simgap.diagnosis.fit import BATCH, Problem
+from simgap.diagnosis.fit import Problem
 from simgap.diagnosis.innovations import Chunks, Variables, cut, innovations_of
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE
@@ -39,8 +37,7 @@ def problem(training: list[Recording]) -> Problem:
 
 def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> np.ndarray:
     """Innovations [C, t, s] of one value of the variables."""
-    several = jax.tree.map(lambda a: jnp.repeat(a[None], BATCH, 0), v)
-    return np.asarray(innovations_of(augmented, scales, several, chunks)[0])
+    return np.asarray(innovations_of(augmented, scales, v, chunks))
 
 
 def explain(training: list[Recording], heldout: list[Recording]) -> Explanation:
