@@ -24,12 +24,15 @@ _DEFAULTS = {
     "DO_NOT_TRACK": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
+    # Flows say themselves where a run is found.
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     # A server that is gone is told of after half a minute, not after four.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "4",
     "DVC_NO_ANALYTICS": "1",
 }
 for _name, _value in _DEFAULTS.items():
     os.environ.setdefault(_name, _value)
+os.environ[running.OWNER] = str(os.getpid())
 if "PREFECT_API_URL" not in os.environ:
     if "PREFECT_HOME" not in os.environ and (_server := running.find("prefect")):
         os.environ["PREFECT_API_URL"] = (

@@ -1,12 +1,17 @@
-"""What `make up` has running here, found by the files it leaves; cheap to import."""
+"""What `make up` has running here, found by the files it leaves, and what killed commands left; cheap to import."""
 
 import json
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import psutil
 
 LOGS = Path("logs")
+OWNER = "SIMGAP_PID"
+"""Environment variable, for what a process starts: its number."""
+_TEMPORARY = "prefect.server.api.server:create_app"
 
 
 class Running(NamedTuple):
@@ -30,3 +35,24 @@ def find(name: str) -> Running | None:
     except (OSError, ValueError, KeyError, TypeError, psutil.NoSuchProcess):
         return None
     return Running(process, known["address"]) if same else None
+
+
+def end_left_over() -> None:
+    """End the temporary Prefect servers of this folder whose commands are gone: killed with SIGKILL, one leaves its."""
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):  # it has ended meanwhile, or is another user's
+            if _TEMPORARY not in process.cmdline():
+                continue
+            known = process.environ()
+            own = OWNER in known and known.get("PREFECT_HOME") == os.environ.get("PREFECT_HOME")
+            if own and not _there(int(known[OWNER]), process.create_time()):
+                process.terminate()
+
+
+def _there(pid: int, since: float) -> bool:
+    """Whether the process that had this number at that time [s] is still there."""
+    try:
+        process = psutil.Process(pid)
+        return process.status() != psutil.STATUS_ZOMBIE and process.create_time() <= since
+    except psutil.NoSuchProcess:
+        return False

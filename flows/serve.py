@@ -2,9 +2,11 @@
 
 import argparse
 import asyncio
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+import httpx
 from prefect.deployments.runner import RunnerDeployment
 from prefect.runner import Runner
 from prefect.types.entrypoint import EntrypointType
@@ -18,6 +20,7 @@ from tasks.params import Params, load_params, read_yaml
 READY = LOGS / "deployments.ready"
 """There while the deployments are served."""
 SOURCE = "virtual"
+_ASK_S = 3.0
 
 
 def main() -> None:
@@ -29,10 +32,23 @@ def main() -> None:
 
 
 class _Runner(Runner):
-    """Told to end, it cancels its runs; Prefect's own (3.8.8) leaves them to be killed."""
+    """Told to end, it cancels its runs, where Prefect's own (3.8.8) leaves them to be killed; and it goes on asking
+    which are to be cancelled, where that one gives up once its server was gone for half a minute."""
 
     def handle_sigterm(self, *_: Any, **__: Any) -> None:
         asyncio.run_coroutine_threadsafe(self.astop(), asyncio.get_running_loop())
+
+    async def __aenter__(self) -> Self:
+        await super().__aenter__()
+        self._runs_task_group.start_soon(self._ask)
+        return self
+
+    async def _ask(self) -> None:
+        assert self._cancelling_observer is not None
+        while not self.stopping:
+            with suppress(httpx.HTTPError):  # the server is gone
+                await self._cancelling_observer._check_for_cancelled_flow_runs()
+            await asyncio.sleep(_ASK_S)
 
 
 async def _serve(deployments: list[RunnerDeployment], runs: int) -> None:

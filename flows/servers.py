@@ -101,6 +101,10 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[
         "PREFECT_SERVER_UI_API_URL": f"{pages}/api",
         "PREFECT_LOGGING_LEVEL": "INFO",
     }
+    # Its job workers, seven processes, serve evaluations of language models.
+    mlflow = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+    if host != "127.0.0.1":
+        mlflow |= {name: value for name, value in _known_as(mlflow_port).items() if name not in os.environ}
     serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
     ui = [str(binaries / "mlflow"), "server", "--host", host, "--port", str(mlflow_port), "--workers", "1",
           "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
@@ -110,12 +114,20 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[
             "prefect", [str(binaries / "prefect"), "server", "start", "--host", host, "--port", str(prefect_port)],
             prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port,
         ),
-        # Its job workers, seven processes, serve evaluations of language models.
-        Server("mlflow", ui, {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}, tracking,
-               lambda: _answers(f"{tracking}/health"), mlflow_port),
+        Server("mlflow", ui, mlflow, tracking, lambda: _answers(f"{tracking}/health"), mlflow_port),
         Server("deployments", serve, prefect, f"{pages}/deployments",
                lambda: (LOGS / "deployments.ready").exists()),
     ]  # fmt: skip
+
+
+def _known_as(port: int) -> dict[str, str]:
+    """The names of this machine, told to MLflow: it answers to no other, nor to pages that come from elsewhere."""
+    addresses = [a.address for found in psutil.net_if_addrs().values() for a in found if a.family == socket.AF_INET]
+    names = dict.fromkeys(["localhost", socket.gethostname(), socket.getfqdn(), *addresses])
+    return {
+        "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:{port}" for name in names),
+        "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:{port}" for name in names),
+    }
 
 
 def _start(server: Server) -> None:

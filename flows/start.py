@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 
+from flows import running
 from simgap.types import SimgapError
 from tasks import files, progress
 from tasks.params import load_params, read_yaml
@@ -62,6 +63,7 @@ def read_overrides(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 def guarded(work: Callable[[], Any]) -> None:
     """Call `work`; an error that explains itself, or a Prefect server that is gone, ends the process with status 1."""
     progress.quiet_libraries()
+    running.end_left_over()
     try:
         work()
     except SimgapError as error:

@@ -603,9 +603,12 @@ def make_folder(folder: Path) -> None:
 
 def remove_unfinished(folder: Path) -> None:
     """Delete what processes of this machine that are gone were writing in a folder when they were killed."""
-    for path in folder.rglob(f".{_OWNER}-*.tmp"):
+    for path in list(folder.rglob(f".{_OWNER}-*.tmp")):
         if not psutil.pid_exists(int(path.name.split("-")[1])):
-            path.unlink(missing_ok=True)
+            if path.is_dir():
+                remove_folder(path)
+            else:
+                path.unlink(missing_ok=True)
 
 
 def remove_folder(folder: Path) -> None:
@@ -619,9 +622,29 @@ def _missing(path: Path) -> str:
 
 
 @contextmanager
+def replacing_folder(folder: Path) -> Iterator[Path]:
+    """A new folder beside `folder` to write to, which takes its place whole when all went well and is deleted
+    otherwise."""
+    new, old = _beside(folder), _beside(folder)
+    try:
+        make_folder(new)
+        yield new
+        if folder.exists():
+            os.replace(folder, old)
+        os.replace(new, folder)
+    finally:
+        remove_folder(new)
+        remove_folder(old)
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{_OWNER}-{os.getpid()}-{uuid4().hex}.tmp")
+
+
+@contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to, which takes its place when all went well and is deleted otherwise."""
-    temporary = path.with_name(f".{_OWNER}-{os.getpid()}-{uuid4().hex}.tmp")
+    temporary = _beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary

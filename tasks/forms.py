@@ -58,7 +58,7 @@ class Recordings(_Form):
     folder: str = Field("", description="Folder in the project, in place of the block's; empty: the block's.")
     training_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
     test_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
-    session_s: float = Field(0, ge=0, le=3600, description="Their length [s]; 0: as in params.yaml.")
+    session_s: float = Field(0, ge=0, le=3600, title="Session length", description="Of each [s]; 0: as in params.yaml.")
 
     def overrides(self, params: Params) -> dict[str, Any]:
         """What it changes in params.yaml; a block has fields for the virtual robot or a folder, not both."""

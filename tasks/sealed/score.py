@@ -82,28 +82,30 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
 def write(
     workspace: SealedWorkspace, opened: Opened, found: list[Row], params: SealedScoreParams, commit: str
 ) -> list[metrics.Score]:
-    """Report, figures, every case, the manifest and the metrics; returns the table."""
-    folder, dpi = _folder(workspace, opened), params.figure_dpi
-    files.remove_folder(folder)
-    table = metrics.table(found, np.random.default_rng(params.seed))
+    """Report, figures, every case, the manifest and the metrics; returns the table.
+
+    An earlier report stays until this one is whole.
+    """
+    table, dpi = metrics.table(found, np.random.default_rng(params.seed)), params.figure_dpi
     failed = metrics.failures(found)
-    figures.power(folder / "power.png", metrics.power(found), dpi)
-    figures.confusion(folder / "confusion.png", found, 6.0, dpi)
-    figures.reliability(folder / "reliability.png", metrics.reliability(found), dpi)
-    pictures = {}
-    for row in failed[: params.pictures]:
-        pictures[row["case"]] = f"failures/{row['case']}.png"
-        _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
     about = {
         "suite": workspace.suite, "diagnosing code": opened.code, "made with the code": opened.manifest["code"][:16],
         "round": opened.manifest["round"], "commit": commit or "unknown",
         "cases": f"{len(found)} of {len(opened.keys)}",
     }  # fmt: skip
-    text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
-    files.write_text(folder / "report.md", text)
-    columns = list(dict.fromkeys(name for row in found for name in row))
-    files.write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
-    files.write_json(folder / "manifest.json", opened.manifest)
+    with files.replacing_folder(_folder(workspace, opened)) as folder:
+        figures.power(folder / "power.png", metrics.power(found), dpi)
+        figures.confusion(folder / "confusion.png", found, 6.0, dpi)
+        figures.reliability(folder / "reliability.png", metrics.reliability(found), dpi)
+        pictures = {}
+        for row in failed[: params.pictures]:
+            pictures[row["case"]] = f"failures/{row['case']}.png"
+            _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
+        text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
+        files.write_text(folder / "report.md", text)
+        columns = list(dict.fromkeys(name for row in found for name in row))
+        files.write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
+        files.write_json(folder / "manifest.json", opened.manifest)
     files.write_json(workspace.metrics, {s.name: {"value": s.value, "ci95": [s.low, s.high], "n": s.n} for s in table})
     return table
 

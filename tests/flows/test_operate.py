@@ -23,8 +23,9 @@ from mlflow import MlflowClient
 from test_pipeline import TINY
 
 from examples.record import record
-from tasks import tracking
-from tasks.params import load_params
+from tasks import recordings, tracking
+from tasks.params import VirtualParams, load_params
+from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -320,6 +321,31 @@ def test_the_best_model_loads_in_three_lines(place: Place, monkeypatch: pytest.M
     columns = [column.name for column in named["model"].metadata.get_input_schema()]
     table = named["model"].predict(pd.DataFrame(np.zeros((3, len(columns))), columns=columns))
     assert np.isfinite(table.to_numpy()).all()
+
+
+def test_a_reproduction_is_started_and_shows_what_there_is(place: Place) -> None:
+    """Of sessions that are there to learn from and to judge by: the diagnosis, which takes longest, refuses them."""
+    params, made = load_params(place.folder / "params.yaml"), Workspace(place.folder / "made", "virtual")
+    source = params.source("virtual")
+    assert isinstance(source, VirtualParams)
+    recordings.record_virtual.fn(made, source)
+    for folder in ("recordings_spot_v1", "test_data_spot"):
+        shutil.copytree(made.recordings / "training", place.folder / "data" / "robot" / folder)
+    form = {"recordings": {"source": "spot", "folder": "data/robot"}}
+    flow_run = place.start("reproduce/full", form, "again")
+    state = place.until(flow_run, {"Completed", "Failed", "Crashed"}, 400)
+    assert state["name"] == "Failed", (state, place.log())
+    assert "a session must serve one purpose" in state["message"]
+    reports = Workspace(Path("sweeps", "again"), "spot").reports
+    links, table = (place.api("artifacts/filter", {"artifacts": {"key": {"any_": [f"reproduce-{what}"]}}})[0]["data"]
+                    for what in ("links", "results"))  # fmt: skip
+    for written in (reports / "report.md", reports / "tracking" / "report.md"):
+        assert (place.folder / written).exists()
+        assert str(written) in links
+    assert links.count("viewStateShareKey=again)") == 2
+    (row,) = json.loads(table)
+    assert row["model"] == "sim_model-student_t-N40-s0"
+    assert row["run"].startswith(f"[MLflow]({place.mlflow}/#/experiments/")
 
 
 def test_a_diagnosis_is_read_in_mlflow(place: Place, browser: Any, swept: tuple[str, Path]) -> None:

@@ -3,10 +3,14 @@
 import copy
 import json
 import math
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
+from killing import Work, worker
+from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from concealed import seal
 from flows.sealed import conceal, examine, score
@@ -30,31 +34,57 @@ def params() -> SealedParams:
 
 
 @pytest.fixture(scope="module")
+def work(prefect_server: dict[str, str]) -> Iterator[Work]:
+    with worker(prefect_server, ["sealed.conceal", "sealed.examine", "sealed.score"]) as work:
+        yield work
+
+
+@pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) -> SealedWorkspace:
-    """After `conceal`."""
+    """After `conceal`, in a folder from which stages can be started as from the command line."""
     workspace = SealedWorkspace(tmp_path_factory.mktemp("sealed"), "development")
+    files.write_text(workspace.root / "sealed" / "params.yaml", yaml.safe_dump(params.model_dump(mode="json")))
     conceal.run.fn("development", params, workspace.root)
     return workspace
 
 
 @pytest.fixture(scope="module")
-def examined(workspace: SealedWorkspace, params: SealedParams) -> SealedWorkspace:
-    """After `examine`, twice, where one of the two cases cannot be read: it fails, and loses no other, even where its
-    record was damaged in between."""
-    damaged, other = sorted(workspace.cases.iterdir())
-    session = damaged / "a.csv"
+def examined(
+    workspace: SealedWorkspace, params: SealedParams, work: Work, prefect_server: dict[str, str]
+) -> SealedWorkspace:
+    """After `examine`, twice, where the last of the two cases cannot be read: it fails, and loses no other, even where
+    the first time was killed before the last record, which is damaged besides."""
+    other, damaged = files.read_json(workspace.manifest)["parts"][0]
+    session = workspace.cases / damaged / "a.csv"
     session.write_text(session.read_text().replace("cmd_ee_vz", "nothing"))
-    diagnosed = set()
-    for record_damaged in (False, True):
-        if record_damaged:
-            workspace.record(damaged.name).write_text('{"fingerpr')
-        with pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged.name}.*cmd_ee_vz is missing"):
-            examine.run("development", params, workspace.root)
-        assert files.read_json(workspace.record(other.name))["error"] is None
-        diagnosed.add(workspace.record(other.name).stat().st_mtime_ns)
-    assert len(diagnosed) == 1  # it is not done again
+    assert work(workspace.root, "sealed.examine development", writes=2) == -9
+    assert not workspace.record(damaged).exists()
+    diagnosed = workspace.record(other).stat().st_mtime_ns
+    files.write_text(workspace.record(damaged), '{"fingerpr')
+    with (
+        temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}),
+        pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged}.*cmd_ee_vz is missing"),
+    ):
+        examine.run("development", params, workspace.root)
+    assert files.read_json(workspace.record(other))["error"] is None
+    assert workspace.record(other).stat().st_mtime_ns == diagnosed  # it is not done again
     session.write_text(session.read_text().replace("nothing", "cmd_ee_vz"))
     return workspace
+
+
+def test_a_suite_whose_making_was_killed_passes_for_none(
+    workspace: SealedWorkspace, work: Work, tmp_path: Path
+) -> None:
+    """Killed before the manifest, over a whole suite: it is refused, and made anew the same."""
+    killed = SealedWorkspace(tmp_path / "killed", workspace.suite)
+    shutil.copytree(workspace.root, killed.root)
+    assert work(killed.root, "sealed.conceal development", writes=3) == -9
+    assert len(list(killed.cases.iterdir())) == 2
+    assert not killed.manifest.exists()
+    assert work(killed.root, "sealed.examine development") == 1
+    assert work(killed.root, "sealed.conceal development") == 0
+    assert killed.manifest.read_bytes() == workspace.manifest.read_bytes()
+    assert not list(killed.root.rglob(".*.tmp"))
 
 
 @pytest.mark.parametrize("name", ["record.json", "diagnosis.json"])
@@ -92,10 +122,16 @@ def test_names_and_hashes_are_published_and_nothing_else(workspace: SealedWorksp
     assert workspace.secret.stat().st_mode & 0o077 == 0
 
 
-def test_every_case_is_scored_and_the_report_is_whole(examined: SealedWorkspace, params: SealedParams,
-                                                      monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
+def test_every_case_is_scored_and_the_report_is_whole(
+    examined: SealedWorkspace,
+    params: SealedParams,
+    work: Work,
+    prefect_server: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.chdir(examined.root)
-    score.run("development", params, examined.root)
+    with temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}):
+        score.run("development", params, examined.root)
     manifest = files.read_json(examined.manifest)
     report = examined.report(manifest["code"], manifest["round"])
     text = (report / "report.md").read_text()
@@ -109,6 +145,12 @@ def test_every_case_is_scored_and_the_report_is_whole(examined: SealedWorkspace,
     failed = files.read_json(examined.metrics)["cases that failed"]
     assert (failed["value"], failed["n"]) == (0.5, 2)
     assert "broke off: 1" in text
+
+    written = {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()}
+    assert work(examined.root, "sealed.score development", writes=2) == -9
+    assert list(report.parent.glob(".*.tmp"))
+    files.remove_unfinished(report.parent)
+    assert {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()} == written
 
 
 def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(

@@ -1,5 +1,9 @@
 """What surrounds a diagnosis: sessions that serve one purpose each, files, and scores as MLflow takes them."""
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +101,36 @@ def test_what_is_written_reads_back_and_an_old_experiment_goes(tmp_path: Path) -
 
     diagnose.write.fn(tmp_path, found._replace(experiment=None), DRIVE.schema)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["augmented.npz", "diagnosis.html", "diagnosis.json"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from test_diagnose_stage import DRIVE, EXPERIMENT, MODEL, STATEMENT, Diagnosis, diagnose
+
+def replaced(source, target, replace=os.replace):
+    if target.name == "diagnosis.html":
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(source, target)
+
+os.replace = replaced
+diagnose.write.fn(Path(sys.argv[1]), Diagnosis(STATEMENT, {}, MODEL, EXPERIMENT), DRIVE.schema)
+"""
+
+
+def test_a_diagnosis_killed_while_it_is_written_passes_for_none(tmp_path: Path) -> None:
+    """Not for the one before either; the next is whole."""
+    found = Diagnosis(STATEMENT, {}, MODEL, EXPERIMENT)
+    diagnose.write.fn(tmp_path, found, DRIVE.schema)
+    whole = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    here = Path(__file__).parent
+    environment = {**os.environ, "PYTHONPATH": f"{here}{os.pathsep}{here.parents[1]}"}
+    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], env=environment, timeout=200)
+    assert done.returncode == -signal.SIGKILL
+    assert {path.name for path in tmp_path.glob("[!.]*")} == {"augmented.npz", "experiment.csv"}
+    files.remove_unfinished(tmp_path)
+    diagnose.write.fn(tmp_path, found, DRIVE.schema)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == whole
 
 
 def test_scores_are_flat_and_known() -> None:

@@ -12,15 +12,19 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import mlflow.pyfunc
 import numpy as np
+import psutil
 import pytest
+from conftest import free_port
 from prefect import flow
 from prefect.settings import PREFECT_API_URL, temporary_settings
 
+from flows import running
 from flows.start import alone, guarded
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
@@ -192,6 +196,40 @@ def test_a_flow_without_its_prefect_server_says_so(nobody: str, capsys: pytest.C
         guarded(flow(lambda: worked.append(1), name="any"))
     assert (ended.value.code, worked) == (1, [])
     assert "error: Prefect's server does not answer" in capsys.readouterr().out
+
+
+SERVING = """
+import sys
+import flows
+from prefect.server.api.server import SubprocessASGIServer
+print(SubprocessASGIServer(port=int(sys.argv[1]))._run_uvicorn_command().pid, flush=True)
+input()
+"""
+
+
+def test_a_prefect_server_left_by_a_killed_command_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As soon as its command is gone, and of this folder alone."""
+    command = subprocess.Popen(
+        [sys.executable, "-c", SERVING, str(free_port())], env={**os.environ, "PREFECT_HOME": str(tmp_path)}, cwd=ROOT,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert command.stdout is not None
+    server = psutil.Process(int(command.stdout.readline()))
+    try:
+        for gone, home in ((False, tmp_path), (True, tmp_path / "another")):
+            if gone:
+                command.kill()
+                command.wait()
+            monkeypatch.setenv("PREFECT_HOME", str(home))
+            running.end_left_over()
+            assert psutil.wait_procs([server], timeout=0.5)[1]
+        monkeypatch.setenv("PREFECT_HOME", str(tmp_path))
+        running.end_left_over()
+        server.wait(60)
+    finally:
+        for process in (server, command):
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
 
 
 def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
