@@ -269,13 +269,13 @@ def test_policies_are_learnt_run_on_the_robot_and_told_of(
     ],
 )
 def test_wrong_input_is_explained_without_a_traceback(
-    tmp_path: Path, arguments: list[str], overrides: str, words: list[str]
+    tmp_path: Path, prefect_server: dict[str, str], arguments: list[str], overrides: str, words: list[str]
 ) -> None:
     (tmp_path / "params.yaml").write_text((ROOT / "params.yaml").read_text())
     (tmp_path / "o.yaml").write_text(overrides)
     done = subprocess.run(
         [sys.executable, "-m", "flows.reproduce", *arguments, "--overrides", "o.yaml", "--workspace", "w"],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300,
+        cwd=tmp_path, env={**prefect_server, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     output = done.stdout + done.stderr
     assert done.returncode == 1

@@ -326,12 +326,14 @@ def test_stalls_are_counted_and_the_longest_is_named() -> None:
     assert (rate.longest_s, rate.longest_row) == (pytest.approx(1.1), 50)
 
 
-def test_the_commands_are_there_to_be_typed(tmp_path: Path) -> None:
+def test_the_commands_are_there_to_be_typed(tmp_path: Path, prefect_server: dict[str, str]) -> None:
     """From a bag to a checked recording, with the installed command."""
     write_mcap(tmp_path / "walk.mcap")
     (tmp_path / "mapping.yaml").write_text(yaml.safe_dump(mapping(BAG)))
     simgap = Path(sys.executable).parent / "simgap"
     for arguments in (["import", "walk.mcap", "--mapping", "mapping.yaml", "--out", "mine"], ["check", "mine"]):
-        done = subprocess.run([simgap, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=200)
+        done = subprocess.run(
+            [simgap, *arguments], cwd=tmp_path, env=prefect_server, capture_output=True, text=True, timeout=200
+        )
         assert done.returncode == 0, done.stdout + done.stderr
     assert "1 sessions" in done.stdout
