@@ -102,7 +102,7 @@ class Law(NamedTuple):
     c: Float[Array, "k sites"]
     on: Bool[Array, ""] | None
 
-    def __call__(self, nil: Array, *args: Any) -> Array:
+    def __call__(self, nil: Any, *args: Any) -> Any:
         """What the law makes of its arguments, `nil` where it does not act."""
         return where(self.on, lambda: self.effect.law(self.c, *args), nil)
 
@@ -177,7 +177,7 @@ def follow(
         if law.effect.place == "command":
             u = law(u, u, memory.commands, row, augmented.layout)
         else:
-            u = filters[law.effect.key] = law(u, u, filters[law.effect.key])
+            filters[law.effect.key], u = law((u, u), u, filters[law.effect.key])
     commands = jnp.concatenate([command[None], memory.commands[:-1]])
     return memory._replace(commands=commands, filters=filters), u
 
@@ -227,15 +227,18 @@ def advance(
 
 
 def sense(
-    augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], active: Active = None
+    augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], row: Row, active: Active = None
 ) -> Float[Array, " s"]:
-    """What is measured of a state, given the states before it."""
+    """What is measured of a state, given the states before it; `row` is its own."""
     for law in augmented.laws(theta, active, "sensing"):
-        state = law(state, state, memory.states, augmented.layout)
+        state = law(state, state, memory.states, row, augmented.layout)
     return state
 
 
-def unsense(augmented: Augmented, theta: Theta, measured: Float[Array, " s"]) -> Float[Array, " s"]:
-    """The state at rest that gives a measurement: inverse of bias and scale."""
-    found = {law.effect.id: law.c[0] for law in augmented.laws(theta, None, "sensing")}
-    return (measured - found.get("sensor_bias", 0.0)) / (1 + found.get("sensor_scale", 0.0))
+def unsense(
+    augmented: Augmented, theta: Theta, measured: Float[Array, " s"], time_s: Float[Array, ""]
+) -> Float[Array, " s"]:
+    """The state at rest that gives a measurement: inverse of bias, its drift, and scale."""
+    found = {law.effect.key: law.c[0] for law in augmented.laws(theta, None, "sensing")}
+    bias = found.get("sensor_bias", 0.0) + found.get("sensor_bias.drift", 0.0) * time_s / 60
+    return (measured - bias) / (1 + found.get("sensor_scale", 0.0))

@@ -1,7 +1,7 @@
 """Effects on the way from a command that is sent to the command that acts.
 
 A law of place "command" is `law(c[k, sites], u, past, row, layout) -> u`, where past[k] was sent k + 1 rows ago; one of
-place "filter" is `law(c[k, sites], u, z) -> z`, with z its own last output.
+place "filter" is `law(c[k, sites], u, z) -> (z, u)`: what it remembers, and the command that acts.
 """
 
 import jax.numpy as jnp
@@ -32,9 +32,10 @@ def _deadband(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layo
     return u - jnp.clip(u, -c[0], c[0])
 
 
-def _backlash(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
+def _backlash(c: Float[Array, "1 u"], u: _U, z: _U) -> tuple[_U, _U]:
     """Play of gap c: the output is dragged along at the gap's ends."""
-    return jnp.clip(z, u - c[0] / 2, u + c[0] / 2)
+    z = jnp.clip(z, u - c[0] / 2, u + c[0] / 2)
+    return z, z
 
 
 def _gain(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
@@ -57,15 +58,21 @@ def _saturation(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: La
     return u / jnp.maximum(1.0, jnp.abs(u) * c[0])
 
 
-def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
-    """Changes by at most 1/c a row: u less what of its change is too much, so that without a limit it is u exactly."""
+def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U) -> tuple[_U, _U]:
+    """A ramp from z towards u by 1/c a row: where it ends, and its mean over the row, which acts.
+
+    Both are u less a share of its change, so that without a limit they are u exactly.
+    """
     change = u - z
-    return u - change * (1 - 1 / jnp.maximum(1.0, jnp.abs(change) * c[0]))
+    rows = jnp.abs(change) * c[0]
+    ended = jnp.maximum(rows, 1.0)
+    return u - change * (1 - 1 / ended), u - change * jnp.where(rows < 1, rows / 2, 1 - 0.5 / ended)
 
 
-def _lag(c: Float[Array, "1 u"], u: _U, z: _U) -> _U:
+def _lag(c: Float[Array, "1 u"], u: _U, z: _U) -> tuple[_U, _U]:
     """First-order response with memory c = exp(-time step / time constant)."""
-    return c[0] * z + (1 - c[0]) * u
+    z = c[0] * z + (1 - c[0]) * u
+    return z, z
 
 
 def _pairs(layout: Layout) -> list[tuple[int, int]]:

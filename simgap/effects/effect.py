@@ -26,7 +26,7 @@ SENSED_ROWS = 4
 class Memory(NamedTuple):
     """What an augmented simulator remembers beyond the state.
 
-    commands[k]: sent k + 1 rows ago. filters: last output of every law of place "filter", by key. states[k]: the
+    commands[k]: sent k + 1 rows ago. filters: what every law of place "filter" remembers, by key. states[k]: the
     state k + 1 rows ago.
     """
 

@@ -1,9 +1,9 @@
-"""What the sensors make of the state. `law(c[k, sites], state, past_states, layout) -> measured`."""
+"""What the sensors make of the state. `law(c[k, sites], state, past_states, row, layout) -> measured`."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Site
+from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Row, Scales, Site
 from simgap.layout import Layout, wrapped
 
 
@@ -27,7 +27,7 @@ def _sensor_sites(layout: Layout) -> tuple[Site, ...]:
     )
 
 
-def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], layout: Layout) -> Array:
+def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row: Row, layout: Layout) -> Array:
     """The state c rows ago, between two rows in proportion."""
     delay = jnp.zeros(len(layout.schema.state))
     for k, (_, members) in enumerate(_sensors(layout)):
@@ -37,14 +37,24 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], layo
     return state + (jnp.maximum(0.0, 1 - jnp.abs(rows - delay)) * since).sum(0)
 
 
-def _scale(c: Float[Array, "1 s"], state: Array, past: Array, layout: Layout) -> Array:
+def _scale(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """(1 + c) y."""
     return state * (1 + c[0])
 
 
-def _bias(c: Float[Array, "1 s"], state: Array, past: Array, layout: Layout) -> Array:
+def _bias(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """y + c."""
     return state + c[0]
+
+
+def _drift(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
+    """y + c t, t in minutes."""
+    return state + c[0] * row.time_s / 60
+
+
+def _drifting(scales: Scales, site: int) -> list[list[float]]:
+    """As much over the longest session as a bias that is looked for."""
+    return [[0.05 * float(scales.output[site]) * 60 / max(scales.duration, 1e-9)]]
 
 
 EFFECTS = (
@@ -61,5 +71,9 @@ EFFECTS = (
     Effect(
         "sensor_bias", "sensing", (Constant("bias", "{u}"),), _output_sites,
         lambda scales, site: [[0.05 * float(scales.output[site])]], _bias, "a measured output is off by {bias}",
+    ),
+    Effect(
+        "sensor_bias", "sensing", (Constant("drift", "{u}/min"),), _output_sites, _drifting, _drift,
+        "a measured output drifts off by {drift}", form="drift",
     ),
 )  # fmt: skip

@@ -89,12 +89,12 @@ class AugmentedSimulator:
         remembers = bool(augmented.laws(theta, None, "filter"))
         earlier = jnp.tile(commands[0], (HISTORY_ROWS - HISTORY + 1 + remembers * SETTLING, 1))
         past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])
-        start = unsense(augmented, theta, state)
         row = Row(jnp.asarray(self.scales.duration / 2), jnp.ones(()))
+        start = unsense(augmented, theta, state, row.time_s)
         memory = remember(augmented, theta, start, past, row.time_s)
         memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
         at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
-        return sense(augmented, theta, at_rest, then)
+        return sense(augmented, theta, at_rest, then, row)
 
     def to_body(self, state: Float[Array, " s"]) -> Float[Array, " s"]:
         """The simulator's own."""

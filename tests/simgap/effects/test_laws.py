@@ -97,7 +97,7 @@ def theta(robot: str, effect: Effect, constants: list[float], sites: list[int]) 
 def one_step(robot: str, theta, memory: Memory, state, command, measures):
     """The step's result and what is measured of it."""
     memory, then = advance(ROBOTS[robot], PHI[robot], theta, measures, memory, state, command, ROW)
-    return memory, then, sense(ROBOTS[robot], theta, memory, then)
+    return memory, then, sense(ROBOTS[robot], theta, memory, then, ROW)
 
 
 @partial(jax.jit, static_argnames="robot")
@@ -118,7 +118,7 @@ def test_with_all_constants_zero_it_is_the_simulator(robot: str, seed: int) -> N
     # Compiled apart, sums round otherwise.
     np.testing.assert_allclose(then, bare(robot, state, command), rtol=1e-6, atol=2e-6)
     np.testing.assert_array_equal(measured, then)
-    np.testing.assert_array_equal(unsense(ROBOTS[robot], zero, then), then)
+    np.testing.assert_array_equal(unsense(ROBOTS[robot], zero, then, ROW.time_s), then)
 
 
 @robots
@@ -129,7 +129,7 @@ def test_with_all_constants_zero_it_is_the_simulator_to_the_last_bit(robot: str)
     with jax.disable_jit():
         after, then = advance(ROBOTS[robot], PHI[robot], zero, scales(robot), memory, state, command, ROW)
         np.testing.assert_array_equal(then, ROBOTS[robot].simulator.step(PHI[robot], state, command))
-        np.testing.assert_array_equal(sense(ROBOTS[robot], zero, after, then), then)
+        np.testing.assert_array_equal(sense(ROBOTS[robot], zero, after, then, ROW), then)
 
 
 @robots
@@ -162,11 +162,11 @@ def test_constants_known_before_tracing_give_the_same(robot: str) -> None:
         traced = one_step(robot, constants, memory, state, command, scales(robot))
         known, augmented = np.asarray(constants), ROBOTS[robot]
         after, then = advance(augmented, PHI[robot], known, scales(robot), memory, state, command, ROW)
-        measured = sense(augmented, known, after, then)
+        measured = sense(augmented, known, after, then, ROW)
         np.testing.assert_allclose(then, traced[1], rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(measured, traced[2], rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(
-            unsense(augmented, known, measured), unsense(augmented, constants, measured), rtol=1e-6, atol=1e-6
+            *(unsense(augmented, c, measured, ROW.time_s) for c in (known, constants)), rtol=1e-6, atol=1e-6
         )
 
 
@@ -179,7 +179,7 @@ def slopes(robot: str, thetas, memory: Memory, state, command, measures):
 
     def outcome(theta, state):
         after, then = advance(ROBOTS[robot], PHI[robot], theta, measures, memory, state, command, ROW)
-        values = ravel_pytree((then, after.filters, sense(ROBOTS[robot], theta, after, then)))[0]
+        values = ravel_pytree((then, after.filters, sense(ROBOTS[robot], theta, after, then, ROW)))[0]
         return values, values
 
     return jax.vmap(lambda t: jax.jacrev(outcome, argnums=(0, 1), has_aux=True)(t, state))(thetas)
@@ -349,7 +349,7 @@ def test_a_simulator_may_wrap_its_angles(key: str) -> None:
     for car in (CAR, WrappedCar()):
         augmented = Augmented(car)
         after, then = advance(augmented, PHI["car"], constants, scales("car"), memory, state, command, ROW)
-        measured.append(sense(augmented, constants, after, then))
+        measured.append(sense(augmented, constants, after, then, ROW))
     apart = measured[0] - measured[1]
     np.testing.assert_allclose(jnp.arctan2(jnp.sin(apart[2]), jnp.cos(apart[2])), 0, atol=1e-5)
 
@@ -388,7 +388,7 @@ def followed(key: str, constant: float, commands: list[float], before: float = 0
         ("deadband", 0.1, [0.05, -0.1, 0.3, -0.25], [0.0, 0.0, 0.2, -0.15]),
         ("backlash", 0.2, [0.3, 0.5, 0.45, 0.35, 0.0, 0.05], [0.2, 0.4, 0.4, 0.4, 0.1, 0.1]),
         ("quantization", 0.25, [0.1, 0.2, 0.4, -0.3, -0.4], [0.0, 0.25, 0.5, -0.25, -0.5]),
-        ("rate_limit", 1 / 0.2, [1.0, 1.0, 1.0, 0.3, 0.35, -1.0], [0.2, 0.4, 0.6, 0.4, 0.35, 0.15]),
+        ("rate_limit", 1 / 0.2, [1.0, 1.0, 1.0, 0.3, 0.35, -1.0], [0.1, 0.3, 0.5, 0.5, 0.35625, 0.25]),
         ("lag", 0.5, [1.0, 1.0, 0.0, -1.0], [0.5, 0.75, 0.375, -0.3125]),
         ("gain", -0.2, [1.0, -0.5], [0.8, -0.4]),
         ("asymmetric_gain", 0.3, [1.0, -0.5], [1.0, -0.35]),
@@ -450,18 +450,21 @@ def test_sensors_by_hand() -> None:
     augmented = ROBOTS["drive"]
     past = jnp.array([[2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
     memory = Memory(jnp.zeros((HISTORY_ROWS, 1)), {}, past)
-    state = jnp.array([1.0, 10.0])
+    state, row = jnp.array([1.0, 10.0]), Row(jnp.asarray(30.0), jnp.ones(()))
     keys = {e.key: e for e in CATALOGUE}
 
     def measured(key: str, constant: float, site: int) -> np.ndarray:
-        return np.asarray(sense(augmented, theta("drive", keys[key], [constant], [site]), memory, state))
+        return np.asarray(sense(augmented, theta("drive", keys[key], [constant], [site]), memory, state, row))
 
     np.testing.assert_allclose(measured("sensor_delay", 1.0, 0), [2.0, 10.0])  # the pose only
     np.testing.assert_allclose(measured("sensor_delay", 2.5, 1), [1.0, 35.0])  # the velocities only
     np.testing.assert_allclose(measured("sensor_scale", 0.1, 1), [1.0, 11.0])
     np.testing.assert_allclose(measured("sensor_bias", -0.3, 0), [0.7, 10.0])
-    both = theta("drive", keys["sensor_scale"], [0.1], [0]) + theta("drive", keys["sensor_bias"], [-0.3], [0])
-    np.testing.assert_allclose(unsense(augmented, both, sense(augmented, both, memory, state)), state, rtol=1e-6)
+    np.testing.assert_allclose(measured("sensor_bias.drift", -0.6, 1), [1.0, 9.7])  # after half a minute
+    all_three = sum(theta("drive", keys[key], [constant], [0]) for key, constant in
+                    (("sensor_scale", 0.1), ("sensor_bias", -0.3), ("sensor_bias.drift", 0.4)))  # fmt: skip
+    seen = sense(augmented, all_three, memory, state, row)
+    np.testing.assert_allclose(unsense(augmented, all_three, seen, row.time_s), state, rtol=1e-6)
 
 
 def test_drive_after_laws_by_hand() -> None:
