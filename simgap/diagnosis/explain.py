@@ -14,15 +14,13 @@ from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
 from simgap.diagnosis.search import Model, Round, Say, search, without
-from simgap.diagnosis.times import acts_when, pushed
+from simgap.diagnosis.times import acts_when, begins, pushed
 from simgap.diagnosis.when import When, gate
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording, StepModel
 
 EXPLAINED = 0.5
 """Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
-ODD_ROWS = ("sampling_interval", "dropout")
-"""Effects on the scatter that are a matter of single rows."""
 
 
 class Explanation(NamedTuple):
@@ -107,19 +105,23 @@ def explain(
     say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
     searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
     model, members, rounds = defend(searched, hypotheses, helps, rng, say)
-    odd = sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.id in ODD_ROWS)
+    odd = sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.rare)
     model, members = outshone(model, members, odd, say)
     when = None if baseline else acts_when(model, members, say)
+    if not (baseline or members or odd):
+        when = begins(model, searched.rounds[0].screening, rng, say)
     if when is not None:
         # What acts for a while only was looked for as if it acted throughout: look again.
         problem, unseen = problem._replace(chunks=chunks._replace(gate=gate(chunks, when))), seen_at(unseen, when)
-        hypotheses = [*throughout, *(gated(c) for c in throughout)]
+        # In one session it may have been a push as well.
+        behind = throughout if when.session is None else [*throughout, *events]
+        hypotheses = [*throughout, *(gated(c) for c in behind)]
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)
         members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
-    elif not baseline and not odd:
+    if not baseline and not odd:
         # Odd rows look like pushes, one by one.
-        model, members = pushed(model, members, events, rng, say)
+        model, members = pushed(model, members, events, throughout, rng, say)
     when = next((m.when for m in members if m.when), None)
     unseen = seen_at(unseen, when)
     say("looking at the scatter that is left")

@@ -48,23 +48,25 @@ def forecast(
     active = augmented.active(v.theta, v.gated)
 
     def one(chunk: Chunks) -> Float[Array, "h s"]:
-        first = unsense(augmented, v.theta, chunk.state[0])
+        first = unsense(augmented, v.theta, chunk.state[0], chunk.time_s[0])
         memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0], chunk.turns, active)
 
         def row(carry, now):
             memory, x = carry
-            y_next, u, time_s, interval, gate, trust = now
+            y_next, u, time_s, next_s, interval, gate, trust = now
             theta = v.theta + gate * v.gated
             sent = jnp.concatenate([u[None], memory.commands])
             added = correct(augmented.layout, box, x, sent)
-            memory, x = advance(augmented, phi, theta, scales, memory, x, u, Row(time_s, interval), active)
+            here = Row(time_s, interval)
+            memory, x = advance(augmented, phi, theta, scales, memory, x, u, here, active)
             x = x + added
-            seen = sense(augmented, theta, memory, x, active)
+            seen = sense(augmented, theta, memory, x, here._replace(time_s=next_s), active)
             return (memory, corrected(augmented.layout, trust * K, x, wrap(augmented, y_next - seen))), seen
 
         steps = len(chunk.state) - 1
         trust = (jnp.arange(steps) < RUN_IN).astype(jnp.float32)
-        rows = (chunk.state[1:], chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:-1], trust)
+        times = (chunk.time_s[:-1], chunk.time_s[1:])
+        rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1], trust)
         return jax.lax.scan(row, (memory, first), rows)[1][RUN_IN:]
 
     return jax.vmap(one)(bare(pieces))

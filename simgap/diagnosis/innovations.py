@@ -155,19 +155,20 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, c
     """Innovations of one chunk (without its leading axis C)."""
     K = gain_matrix(augmented, v)
     at_start = v.theta + chunk.gate[0] * v.gated
-    first = unsense(augmented, at_start, chunk.state[0])
+    first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
     memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
 
     def row(carry, now):
         memory, x = carry
-        y_next, u, time_s, interval, gate = now
+        y_next, u, time_s, next_s, interval, gate = now
         theta = v.theta + gate * v.gated
         phi, now = jnp.asarray(v.phi), Row(time_s, interval)
         memory, x = advance(augmented, phi, theta, scales, memory, x, u, now, active)
-        e = wrap(augmented, y_next - sense(augmented, theta, memory, x, active))
+        e = wrap(augmented, y_next - sense(augmented, theta, memory, x, now._replace(time_s=next_s), active))
         return (memory, corrected(augmented.layout, K, x, e)), e
 
-    rows = (chunk.state[1:], chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:-1])
+    times = (chunk.time_s[:-1], chunk.time_s[1:])
+    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1])
     return jax.lax.scan(row, (memory, first), rows)[1]
 
 

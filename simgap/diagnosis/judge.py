@@ -22,6 +22,8 @@ HORIZONS = (1, 10, 50)
 STRIDE = 5
 DRAWS = 1000
 LEAST_SESSIONS = 5
+MARGIN = 0.005
+"""Share of its error by which a model must be worse to be called so: any two differ by chance in the fourth digit."""
 PIECES = 64
 """Predicted side by side: one number, for each is compiled anew."""
 
@@ -148,16 +150,16 @@ def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]
 
 
 def worse(a: Judged, b: Judged, rng: np.random.Generator) -> bool:
-    """Whether b misses more of the motion than a after any of the longer horizons, beyond chance: a wrong idea.
+    """Whether b, by `MARGIN` and beyond chance, misses more of the motion than a at any longer horizon: a wrong idea.
 
     Constants that make a memory for whatever disturbs the robot foretell the next row, and no further.
     """
     draws = resample(a.session, rng)
 
     def more(k: int, i: np.ndarray) -> float:
-        return _share_missed(b, k, i) - _share_missed(a, k, i)
+        return _share_missed(b, k, i) / max(_share_missed(a, k, i), 1e-12) - 1
 
-    return any(_interval(partial(more, k), draws)["ci95"][0] > 0 for k in range(1, a.error.shape[1]))
+    return any(_interval(partial(more, k), draws)["ci95"][0] > MARGIN for k in range(1, a.error.shape[1]))
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:

@@ -40,6 +40,10 @@ ODDEST = 3
 RATIOS = np.geomspace(1.05, 12, 18) - 1
 STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Further nominal intervals that a late row may contain."""
+JITTERS = np.geomspace(0.03, 0.6, 10)
+"""Standard deviations of the rows' intervals that are tried, in nominal ones."""
+NODES = np.concatenate([[0.0], *([-z, z] for z in np.arange(0.25, 3.1, 0.25))])
+"""Values of a standard normal variable, the plain one first, over which a row's interval is averaged."""
 HELD = (1, 2, 3, 4)
 """Rows for which a lost command leaves the last one acting."""
 SEGMENT = 64
@@ -48,9 +52,13 @@ LEVEL = 1e-3
 
 
 class Scatter(NamedTuple):
-    """An effect on the scatter: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats]."""
+    """An effect on the scatter: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats].
+
+    rare: it is a matter of single rows.
+    """
 
     id: str
+    rare: bool
     constants: list[dict[str, Any]]
     outputs: tuple[str, ...]
     statement: str
@@ -71,11 +79,11 @@ class _Sample(NamedTuple):
 def scatter(problem: Problem, fit: Fit, unseen: Chunks) -> list[Scatter]:
     """All effects on the scatter that training and held-out sessions agree on."""
     training, heldout = (_sample(problem._replace(chunks=c), fit) for c in (problem.chunks, unseen))
-    rare = (_late_rows(problem, fit.noise, training, heldout), _lost_commands(problem, fit.noise, training, heldout))
-    # Two words for the same odd rows: the better one. And what has a name of its own goes before scatter that grows.
-    found = [max((r for r in rare if r is not None), key=lambda r: r.gain, default=None)]
-    if found[0] is None:
-        found = [_motion(problem, fit.noise, training, heldout)]
+    mine = (problem, fit.noise, training, heldout)
+    rare = [r for r in (_late_rows(*mine), _lost_commands(*mine)) if r is not None]
+    # What has a name of its own goes before scatter that grows; of words for the same rows, the better one.
+    wide = [w for w in (_jitter(*mine), None if rare else _motion(*mine)) if w is not None]
+    found = [max((*rare, *wide), key=lambda s: s.gain, default=None)]
     found.append(_stepping(problem, fit, unseen))
     return [f for f in found if f is not None]
 
@@ -121,7 +129,7 @@ def _claim(
     g, h = gain(training), gain(heldout)
     if not _certain(g, training.starts, rare) or h.sum() <= 0:
         return None
-    return Scatter(id=name, gain=float(g.sum()), heldout_gain=float(h.sum()), **said)
+    return Scatter(id=name, rare=rare, gain=float(g.sum()), heldout_gain=float(h.sum()), **said)
 
 
 def _motion(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
@@ -166,17 +174,25 @@ def _mix(e: list[np.ndarray], noise: Noise) -> _Mixture:
     shares[0] = 1 - shares[1:].sum()
     chance = np.zeros((len(e[0]), len(e)))
     for _ in range(15):
-        density = np.stack([_density(x, noise) for x in e], axis=1) + np.log(shares)
-        chance = np.exp(density - logsumexp(density, axis=1, keepdims=True))
+        chance = _chance(_joint(e, shares, noise))
         shares = np.maximum(chance.mean(0), 1e-9)
         chosen = chance.argmax(1)
         noise = fit_noise(np.stack(e)[chosen, np.arange(len(chosen))])
     return _Mixture(shares, noise, chance)
 
 
+def _joint(e: list[np.ndarray], shares: Float[np.ndarray, " k"], noise: Noise) -> Float[np.ndarray, "n k"]:
+    """Log-density of every row together with the innovations that it follows."""
+    return np.stack([_density(x, noise) for x in e], axis=1) + np.log(shares)
+
+
+def _chance(joint: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    """Which innovations a row follows, given the row."""
+    return np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+
+
 def _mixed_gain(mixture: _Mixture, e: list[np.ndarray], noise: Noise) -> np.ndarray:
-    density = np.stack([_density(x, mixture.noise) for x in e], axis=1) + np.log(mixture.shares)
-    return logsumexp(density, axis=1) - _density(e[0], noise)
+    return logsumexp(_joint(e, mixture.shares, mixture.noise), axis=1) - _density(e[0], noise)
 
 
 def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
@@ -185,21 +201,60 @@ def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Samp
     mixture = _mix(several(training), noise)
     share = float(mixture.shares[1:].sum())
     longer = float(mixture.shares[1:] @ STALLS / max(share, 1e-9))
-    layout = problem.augmented.layout
-    # Told in the time that the rows span by the positions' own advance, which need not be the nominal step.
-    length = float(np.median(problem.scales.interval[layout.integrates >= 0])) * (1 + longer)
+    length = _interval(problem) * (1 + longer)
     sd = np.sqrt(share * (1 - share) / len(training.e))
     constants = [
         {"name": "share of stalls", "value": share, "unit": "-", "ci95": [max(share - 2 * sd, 0.0), share + 2 * sd]},
         {"name": "length of stalls", "value": length, "unit": "s", "ci95": [length * 0.8, length * 1.2]},
     ]
-    names = problem.augmented.simulator.schema.state
-    positions = tuple(f.name for f, v in zip(names, layout.integrates, strict=True) if v >= 0)
     return _claim(
         "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True,
-        constants=constants, outputs=positions, statement="Rows are not evenly spaced in time: "
+        constants=constants, outputs=_integrated(problem), statement="Rows are not evenly spaced in time: "
         f"{share:.0%} of them hold a stall and span about {length:.2f} s of motion.",
     )  # fmt: skip
+
+
+def _jitter(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
+    """Rows that span more or less than the nominal interval, each by chance, all positions alike."""
+    shares = np.exp(-0.5 * NODES**2)
+    shares /= shares.sum()
+    at = lambda s, sd: [s.e - sd * z * s.advance for z in NODES]  # noqa: E731
+    drawn = np.random.default_rng(0).random(len(training.e))
+
+    def fitted(sd: float) -> _Mixture:
+        several, then = at(training, sd), noise
+        chance = np.tile(shares, (len(drawn), 1))
+        for _ in range(4):
+            chance = _chance(_joint(several, shares, then))
+            # The likeliest would make the noise too small: one is drawn for each row.
+            one = np.minimum((chance.cumsum(1) < drawn[:, None]).sum(1), len(NODES) - 1)
+            then = fit_noise(np.stack(several)[one, np.arange(len(one))])
+        return _Mixture(shares, then, chance)
+
+    mixtures = [fitted(sd) for sd in JITTERS]
+    gains = np.array([_mixed_gain(m, at(training, sd), noise).sum() for m, sd in zip(mixtures, JITTERS, strict=True)])
+    best = int(gains.argmax())
+    sd, inside = float(JITTERS[best]), JITTERS[gains > gains[best] - 2]
+    interval = _interval(problem)
+    constant = {"name": "jitter", "value": sd * interval, "unit": "s",
+                "ci95": [float(inside.min()) * interval, float(inside.max()) * interval]}  # fmt: skip
+    return _claim(
+        "sampling_interval", training, heldout, lambda s: _mixed_gain(mixtures[best], at(s, sd), noise), rare=False,
+        constants=[constant], outputs=_integrated(problem), statement="Rows are not evenly spaced in time: the time "
+        f"that they span scatters by {sd * interval:.3f} s.",
+    )  # fmt: skip
+
+
+def _interval(problem: Problem) -> float:
+    """Time [s] that rows span by the positions' own advance, which need not be the nominal step."""
+    return float(np.median(problem.scales.interval[problem.augmented.layout.integrates >= 0]))
+
+
+def _integrated(problem: Problem) -> tuple[str, ...]:
+    """Positions whose velocities are measured."""
+    augmented = problem.augmented
+    fields = augmented.simulator.schema.state
+    return tuple(f.name for f, v in zip(fields, augmented.layout.integrates, strict=True) if v >= 0)
 
 
 def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
@@ -243,7 +298,7 @@ def _stepping(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
         {"name": "frequency", "value": hertz, "unit": "Hz", "ci95": [hertz - width, hertz + width]},
     ]
     said = f"The body shakes periodically, at {hertz:.2f} Hz with about {amplitude:.2g} {unit} ({field.name})"
-    return Scatter("gait_oscillation", constants, (field.name,), f"{said}, as stepping does.", gain, held)
+    return Scatter("gait_oscillation", False, constants, (field.name,), f"{said}, as stepping does.", gain, held)
 
 
 def _periodogram(problem: Problem, fit: Fit) -> tuple[Float[np.ndarray, "f s"], int]:

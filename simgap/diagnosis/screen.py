@@ -6,10 +6,12 @@ gain, and a bootstrap of the current model's scores says how much the best of al
 """
 
 from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, replaced, side_by_side, trials, weights
@@ -18,8 +20,18 @@ from simgap.diagnosis.innovations import Variables
 BLOCK = 20
 """Rows whose scores are taken to be dependent."""
 PART = 8
-"""Directions that are kept in memory at once, and the most promising ones, which are tested where they lead to."""
+"""Directions that are kept in memory at once."""
+PROMISING = 5
+"""Hypotheses that are looked at more closely,"""
+CLOSER = 2
+"""so many times,"""
+BETWEEN = 3
+"""with so many values between two that were tested."""
+FEW = 10
+"""Blocks that are too few to tell a variance."""
 DRAWS = 4000
+AT_ONCE = 1000
+"""Directions whose draws are kept in memory at once."""
 NOTHING = 1e-4
 """Squared length of a direction [nats] that is nothing at all."""
 
@@ -47,10 +59,35 @@ class _Direction(NamedTuple):
     constant: int
 
 
+_Tested = tuple[_Direction, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
+"""A direction with its score and information, row by row."""
+
+
+class Evidence(NamedTuple):
+    """What speaks for directions in every row that counts: score and information (twice its gain, were the effect there
+    as it starts). two_sided: whether the direction can be gone along backwards."""
+
+    score: Float[np.ndarray, "h n"]
+    power: Float[np.ndarray, "h n"]
+    two_sided: Bool[np.ndarray, " h"]
+
+
+class Weighed(NamedTuple):
+    """Evidence summed over rows. amplitude: of the start, by which the residual goes along with a direction. gain
+    [nats]; statistic (chi-squared with one degree of freedom); left: what the score's blocks differ by, of length one.
+    """
+
+    amplitude: Float[np.ndarray, " h"]
+    gain: Float[np.ndarray, " h"]
+    statistic: Float[np.ndarray, " h"]
+    left: Float[np.ndarray, "h B"]
+
+
 class Screening(NamedTuple):
-    """All hypotheses, best first, and the chance that noise alone gives as good a best one."""
+    """All hypotheses, best first, what speaks for each, and the chance that noise alone gives as good a best one."""
 
     found: list[Screened]
+    evidence: Evidence
     p_value: float
     threshold: float  # of the statistic, at `level`
 
@@ -94,31 +131,72 @@ def screen(
     # At the optimum the residual has no part in what the model can absorb; float32 leaves a trace.
     residual = fit.e.reshape(-1) * root
     residual = residual - basis @ (basis.T @ residual)
-    cuts = (blocks(np.asarray(problem.chunks.counts)), len(fit.e))
-    directions = _directions(candidates)
     low, _ = problem.augmented.bounds
+    starts = blocks(np.asarray(problem.chunks.counts))
 
-    def batch(some: Sequence[_Direction]) -> list[tuple[Screened, np.ndarray]]:
+    def batch(some: Sequence[_Direction]) -> list[_Tested]:
+        """Scores and powers of directions, but of those whose start explodes."""
         vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
-        with np.errstate(over="ignore", invalid="ignore"):  # a start may explode; it is then left out
+        with np.errstate(over="ignore", invalid="ignore"):
             change = trials(problem, vs) - fit.e
             d = change.reshape(len(some), -1) * root
             d = _beyond_twin(problem, fit, some, d, root)
             d = d - (d @ basis) @ basis.T
-            tested = [_test(*s, along, residual, cuts, low) for s, along in zip(some, d, strict=True)]
-        return [t for t in tested if t is not None]
+            score, power = (a.reshape(len(some), len(fit.e), -1).sum(2) for a in (-d * residual, d * d))
+            finite = np.isfinite(power.sum(1))
+        return [(s, score[i], power[i]) for i, s in enumerate(some) if finite[i]]
 
-    parts = [directions[first : first + PART] for first in range(0, len(directions), PART)]
-    results = [t for part in side_by_side(batch, parts) for t in part]
-    # A strong effect is another direction where it stands than near nil: the most promising are tested there as well.
-    best = sorted((s for s, _ in results), key=lambda s: -s.gain)[:PART]
-    results += batch([_Direction(s.candidate, s.start, s.constant) for s in best])
-    found, scores = [s for s, _ in results], [score for _, score in results]
-    noise = _best_of_noise(np.array(scores), rng)
-    strongest = max((s.statistic for s in found), default=0.0)
-    p_value = float((1 + (noise >= strongest).sum()) / (1 + len(noise)))
-    found.sort(key=lambda s: -s.gain)
-    return Screening(found, p_value, float(np.quantile(noise, 1 - level)))
+    def tested(directions: Sequence[_Direction]) -> list[_Tested]:
+        parts = [directions[first : first + PART] for first in range(0, len(directions), PART)]
+        return [t for part in side_by_side(batch, parts) for t in part]
+
+    def summed(results: Sequence[_Tested]) -> tuple[Evidence, Weighed, list[Screened]]:
+        score, power = (np.array([t[i] for t in results]).reshape(-1, len(fit.e)) for i in (1, 2))
+        two_sided = [low[d.candidate.groups[d.constant].entries[0]] < 0 for d, *_ in results]
+        evidence = Evidence(score, power, np.array(two_sided, bool))
+        weighed = weigh(evidence, starts)
+        return evidence, weighed, [_screened(d, evidence, weighed, i) for i, (d, *_) in enumerate(results)]
+
+    results = tested(_directions(candidates))
+    for _ in range(CLOSER):
+        # Where it stands a strong effect is another direction than near nil, and so is a limit than one a little
+        # further out: what a direction misses of it counts as noise.
+        *_, found = summed(results)
+        results += tested([d for starts in _most_promising(found) for d in _closer(starts)])
+    evidence, weighed, found = summed(results)
+    best_first = np.argsort(-weighed.gain, kind="stable")
+    evidence = Evidence(*(a[best_first] for a in evidence))
+    return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, level, rng))
+
+
+def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
+    """What was tested of some hypotheses' constants, those of greatest gain, best first."""
+    tested: dict[tuple[str, bool, bool, int], list[Screened]] = {}
+    for s in sorted(found, key=lambda s: -s.gain):
+        candidate = s.candidate
+        if not candidate.effect.jagged:
+            key = (candidate.name, candidate.groups[0].gated, bool(candidate.twin), s.constant)
+            tested.setdefault(key, []).append(s)
+    return list(tested.values())[:PROMISING]
+
+
+def _closer(tested: Sequence[Screened]) -> list[_Direction]:
+    """A hypothesis where its best start led to, or between that start and those beside it."""
+    best, k = tested[0], tested[0].constant
+    if _scales(best.candidate, k):
+        return [_Direction(best.candidate, best.start, k)]
+    values = sorted({s.start[k] for s in tested})
+    i = values.index(best.start[k])
+    ratios = [later / value for value, later in pairwise(values)]
+    ratios = [ratios[0], *ratios, ratios[-1]]
+    shares = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
+    between = [values[i] * ratio**share for ratio in (1 / ratios[i], ratios[i + 1]) for share in shares]
+    return [_Direction(best.candidate, (*best.start[:k], float(v), *best.start[k + 1 :]), k) for v in between]
+
+
+def _scales(candidate: Candidate, k: int) -> bool:
+    """Whether a law is in proportion to its constant, or nearly: one start of it is enough then."""
+    return len({start[k] for start in candidate.starts}) == 1
 
 
 def _beyond_twin(
@@ -139,35 +217,62 @@ def _beyond_twin(
     return d - t * (d * t).sum(1, keepdims=True) / np.maximum(power, NOTHING)
 
 
-def _test(
-    candidate: Candidate,
-    values: tuple[float, ...],
-    k: int,
-    direction: Float[np.ndarray, " m"],
-    residual: Float[np.ndarray, " m"],
-    cuts: tuple[np.ndarray, int],
-    low: Float[np.ndarray, " P"],
-) -> tuple[Screened, Float[np.ndarray, " B"]] | None:
-    """One hypothesis: how its direction and the residual go together, block by block; None where it diverges."""
-    power = float(direction @ direction)
-    if not np.isfinite(power):
-        return None
-    in_blocks = lambda a: np.add.reduceat(a.reshape(cuts[1], -1).sum(1), cuts[0])  # noqa: E731
-    score, powers = -in_blocks(direction * residual), in_blocks(direction * direction)
-    total = float(score.sum())
-    if power < NOTHING:
-        return Screened(candidate, values, k, 0.0, 0.0, 0.0), np.zeros_like(score)
-    amplitude = total / power
-    # A law that acts in a few blocks only would be measured against itself, were its own part not taken out first; and
-    # what is left of those few is too little to tell their variance, which is at least what the noise makes it.
-    left = score - amplitude * powers
-    variance = max(float(left @ left), power)
-    two_sided = low[candidate.groups[k].entries[0]] < 0
-    possible = amplitude > 0 or two_sided
-    # A law that is linear in its constant can start where the data would have it.
-    start = tuple(v * float(np.clip(amplitude, -3, 3)) if j == k and two_sided else v for j, v in enumerate(values))
-    gain, statistic = (0.5 * total**2 / power, total**2 / variance) if possible else (0.0, 0.0)
-    return Screened(candidate, start, k, gain, statistic, 0.5 * power), left / max(np.sqrt(float(left @ left)), NOTHING)
+def weigh(evidence: Evidence, starts: Int[np.ndarray, " B"]) -> Weighed:
+    """How each direction and the residual go together; `starts` are those of the blocks."""
+    score, power, two_sided = evidence
+    in_blocks = partial(np.add.reduceat, indices=starts, axis=1, dtype=np.float64)
+    scores, powers = in_blocks(score), in_blocks(power)
+    total, information = scores.sum(1), powers.sum(1)
+    something = information > NOTHING
+    amplitude = np.where(something, total / np.maximum(information, NOTHING), 0.0)
+    # A law that acts in a few blocks only would be measured against itself, were its own part not taken out first.
+    left = scores - amplitude[:, None] * powers
+    variance, blocks_acted_in = _variance(score - amplitude[:, None] * power, left, powers, something)
+    # Nor may such a law rest on a single block.
+    along = scores * np.sign(total)[:, None]
+    best = along.argmax(1)[:, None]
+    first, its = (np.take_along_axis(a, best, 1)[:, 0] for a in (along, powers))
+    rest, remaining = np.maximum(np.abs(total) - first, 0.0), 1 - its / np.maximum(information, NOTHING)
+    single = blocks_acted_in < FEW
+    total, variance = np.where(single, rest, np.abs(total)), np.where(single, variance * remaining, variance)
+    possible = something & ((amplitude > 0) | two_sided)
+    return Weighed(
+        amplitude,
+        np.where(possible, 0.5 * amplitude**2 * information, 0.0),
+        np.where(possible, total**2 / np.maximum(variance, NOTHING), 0.0),
+        left * (something / np.maximum(np.sqrt((left**2).sum(1)), NOTHING))[:, None],
+    )
+
+
+def _variance(
+    rows: Float[np.ndarray, "h n"],
+    left: Float[np.ndarray, "h B"],
+    powers: Float[np.ndarray, "h B"],
+    something: Bool[np.ndarray, " h"],
+) -> tuple[Float[np.ndarray, " h"], Float[np.ndarray, " h"]]:
+    """Of every direction's score, and the number of blocks that it acts in.
+
+    Over rows, for the noise is not the same everywhere; times what rows of a block depend on each other, which a few
+    blocks are too few to tell: theirs is drawn towards that of all directions. At least what the noise makes it.
+    """
+    information = np.maximum(powers.sum(1), NOTHING)
+    acted_in = information**2 / np.maximum((powers**2).sum(1), NOTHING**2)
+    over_rows = np.maximum((rows.astype(np.float64) ** 2).sum(1), NOTHING)
+    dependence = (left**2).sum(1) / over_rows
+    usual = np.median(dependence[something]) if something.any() else 1.0
+    dependence = (FEW * usual + acted_in * dependence) / (FEW + acted_in)
+    return np.maximum(over_rows * dependence, information), acted_in
+
+
+def _screened(direction: _Direction, evidence: Evidence, weighed: Weighed, i: int) -> Screened:
+    candidate, values, k = direction
+    share = 1.0
+    # A law in proportion to its constant can start where the data would have it.
+    if _scales(candidate, k) and weighed.gain[i] > 0:
+        share = float(np.clip(weighed.amplitude[i], -3, 3))
+    start = tuple(v * share if j == k else v for j, v in enumerate(values))
+    power = 0.5 * float(evidence.power[i].sum())
+    return Screened(candidate, start, k, float(weighed.gain[i]), float(weighed.statistic[i]), power)
 
 
 def blocks(counts: np.ndarray) -> np.ndarray:
@@ -179,7 +284,15 @@ def blocks(counts: np.ndarray) -> np.ndarray:
     return np.array(starts)
 
 
-def _best_of_noise(scores: Float[np.ndarray, "h B"], rng: np.random.Generator) -> Float[np.ndarray, " draws"]:
-    """Greatest statistic over all hypotheses when every block's score is noise (multiplier bootstrap)."""
-    multipliers = rng.standard_normal((scores.shape[1], DRAWS), np.float32)
-    return ((scores.astype(np.float32) @ multipliers) ** 2).max(0)
+def by_chance(weighed: Weighed, level: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Chance that noise alone gives as great a statistic as the greatest, and the one that it gives at `level`.
+
+    Every block's score is noise then (multiplier bootstrap).
+    """
+    multipliers = rng.standard_normal((weighed.left.shape[1], DRAWS), np.float32)
+    noise = np.zeros(DRAWS, np.float32)
+    for first in range(0, len(weighed.left), AT_ONCE):
+        some = weighed.left[first : first + AT_ONCE].astype(np.float32)
+        noise = np.maximum(noise, ((some @ multipliers) ** 2).max(0))
+    strongest = weighed.statistic.max(initial=0.0)
+    return float((1 + (noise >= strongest).sum()) / (1 + len(noise))), float(np.quantile(noise, 1 - level))

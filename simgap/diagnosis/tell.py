@@ -7,7 +7,7 @@ import numpy as np
 
 from simgap.diagnosis import black_box, confidence, judge, locate, pictures, words
 from simgap.diagnosis.experiment import Experiment
-from simgap.diagnosis.explain import EXPLAINED, ODD_ROWS, Explanation, gain
+from simgap.diagnosis.explain import EXPLAINED, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.judge import Contestant, Judgement
@@ -19,8 +19,6 @@ from simgap.types import Recording
 
 SEEN = 8.0
 """Nats that an effect of usual strength must be able to gain for the recordings to show it."""
-PERIODIC_OR_ODD = ("gait_oscillation", *ODD_ROWS)
-"""Effects on the scatter that account for innovations that can be foretold, or do not bring such about."""
 CREDIBLE = 0.95
 MISMATCH = ("missing_physics", "unexplained")
 """Verdicts with something to locate."""
@@ -118,7 +116,8 @@ def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) ->
     astray = named and any(judge.worse(j["refitted"], j["augmented"], rng) for j in judged)
     if named and not little and not astray:
         return share, "missing_physics"
-    accounted = any(s.id in PERIODIC_OR_ODD for s in found.scattered)
+    # What is periodic, or odd in single rows, can be foretold in part.
+    accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
     if found.members or share is not None or (found.left.nats.any() and not accounted):
         return share, "unexplained"
     if found.scattered:

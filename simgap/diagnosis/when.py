@@ -15,7 +15,8 @@ PUSH = 8
 """Rows of the shortest push."""
 LASTING = 50
 """Rows of the shortest stretch in which a law of motion may hold and not elsewhere."""
-ONSETS = 40
+EDGE = 0.025
+"""Share of the longest session, or of the one at hand, at either end in which no effect is said to begin."""
 FLIP = 4
 """Rows that share a sign in the bootstrap of stretches."""
 DRAWS = 100
@@ -63,17 +64,24 @@ def scores(
     return -(w * without * d).sum(1), (w * d**2).sum(1)
 
 
-def onset(rows: Rows, score: np.ndarray, power: np.ndarray) -> tuple[When, float]:
-    """The best time from which an effect acts in every session, and what the restriction gains [nats]."""
-    last = rows.time_s.max()
-    best = (When(None, 0.0, np.inf), 0.0)
-    everywhere = _gain(score.sum(), power.sum())
-    for t in np.linspace(0, last, ONSETS + 1)[1:-1]:
-        on = rows.time_s >= t
-        more = _gain(score[on].sum(), power[on].sum()) - everywhere
-        if more > best[1]:
-            best = (When(None, float(t), np.inf), float(more))
-    return best
+def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None = None) -> tuple[When, float]:
+    """The best time from which an effect acts, in every session or in one, and what the restriction gains [nats].
+
+    In one session it may act all the time.
+    """
+    throughout = _gain(score.sum(), power.sum())
+    mine = np.full(len(score), True) if session is None else rows.session == session
+    latest_first = np.flatnonzero(mine)[np.argsort(-rows.time_s[mine], kind="stable")]
+    times = rows.time_s[latest_first]
+    s, p = np.cumsum(score[latest_first]), np.cumsum(power[latest_first])
+    more = 0.5 * s**2 / np.maximum(p, 1e-9) - throughout
+    # With a row belong all of its time.
+    possible = np.append(times[1:] < times[:-1], session is not None)
+    inside = (times > EDGE * times[0]) & (times < (1 - EDGE) * times[0])
+    possible[:-1] &= inside[:-1]
+    more = np.where(possible, more, 0.0)
+    best = int(more.argmax())
+    return When(session, float(times[best]) if more[best] > 0 else 0.0, np.inf), float(more[best])
 
 
 def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[When, float]:

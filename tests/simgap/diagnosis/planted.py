@@ -52,14 +52,15 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
         state, memory, op, sent = carry
         key, time_s = now
         k1, k2, k3 = jax.random.split(key, 3)
-        measured = sense(SPOT, theta, memory, state) + noise * jnp.array(SENSOR) * jax.random.normal(k1, (12,))
+        here = Row(time_s, jnp.ones(()))
+        measured = sense(SPOT, theta, memory, state, here) + noise * jnp.array(SENSOR) * jax.random.normal(k1, (12,))
         measured = measured.at[2].set(jnp.arctan2(jnp.sin(measured[2]), jnp.cos(measured[2])))
         op, u = operator.step(op, measured, k2, 1 / 15, config)
         constants = theta + jnp.where((time_s >= from_s) & (time_s < to_s), 1.0, 0.0) * during
         # Lost commands come in bursts of four rows.
         k4 = jax.random.fold_in(lost_key, (time_s * 15).astype(int) // 4)
         acted = jnp.where(jax.random.bernoulli(k4, lost), sent, u)
-        memory, state = advance(SPOT, phi, constants, scales, memory, state, acted, Row(time_s, jnp.ones(())))
+        memory, state = advance(SPOT, phi, constants, scales, memory, state, acted, here)
         # What jolts the base carries the hand along, and both have moved by the end of the row.
         jolt = noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
         jolt = jolt + carried_velocity(SPOT.layout, state, jolt)

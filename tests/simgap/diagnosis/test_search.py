@@ -57,6 +57,7 @@ CASES = [
     case("sensor_delay", (0.6,), (3,)),
     case("sensor_scale", (0.15,), (4,)),
     case("sensor_bias", (0.3,), (6,)),
+    case("sensor_bias.drift", (0.6,), (10,)),
 ]
 UNSEEN = {
     "sampling_interval.stamped": "rows are evenly spaced here",
@@ -160,6 +161,36 @@ def test_a_push_during_a_stretch_is_found_with_its_time() -> None:
     assert member.when.from_s == pytest.approx(6.0, abs=0.3)
     assert member.when.to_s == pytest.approx(8.0, abs=0.3)
     assert float(found.fit.v.gated[member.candidate.groups[0].entries[0]]) == pytest.approx(0.25, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("key", "constant", "from_s", "session"),
+    [("quadratic_drag", 0.25, 10.0, None), ("gain", -0.2, 10.0, None), ("quadratic_drag", 0.35, 5.0, 1)],
+)
+def test_what_is_nothing_over_all_sessions_is_found_with_its_beginning(
+    key: str, constant: float, from_s: float, session: int | None
+) -> None:
+    """It acts at the end of every session, or of one, and is not seen where it is looked for in all of it."""
+    found = explain(*sessions({}, RICH, during=acting(key, (constant,)), from_s=from_s, only=session))
+    (member,) = found.members
+    assert found.names(member)
+    assert member.candidate.effect.key == key
+    assert member.candidate.sites == (0,)
+    assert member.when is not None
+    assert member.when.session == session
+    assert member.when.from_s == pytest.approx(from_s, abs=0.2)
+    gated = float(found.fit.v.gated[member.candidate.groups[0].entries[0]])
+    assert gated == pytest.approx(constant, rel=0.15)
+
+
+@pytest.mark.parametrize("reach", [1.1, 1.13])
+def test_a_limit_that_is_seldom_reached_is_found(reach: float) -> None:
+    """It acts in a few blocks of rows only, and between the starts of the search."""
+    found = explain(*sessions(acting("reach_limit.horizontal", (1 / reach,)), RICH))
+    (member,) = found.members
+    assert found.names(member)
+    assert member.candidate.effect.key == "reach_limit.horizontal"
+    assert 1 / float(found.fit.v.theta[member.candidate.groups[0].entries[0]]) == pytest.approx(reach, rel=0.01)
 
 
 def test_the_catalogue_has_no_effect_twice() -> None:
