@@ -184,8 +184,9 @@ def start_long(place: Place, name: str) -> str:
                                f"hyperparameters={json.dumps(long)}")  # fmt: skip
     assert status == 0, output
     flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
-    trained = {"flow_runs": {"id": {"any_": [flow_run]}}, "task_runs": {"name": {"like_": "sim_model-"}}}
-    wait_for(lambda: [t for t in place.api("task_runs/filter", trained) if t["state"]["name"] == "Running"], 300)
+    training = {"name": {"like_": "sim_model-"}, "state": {"name": {"any_": ["Running"]}}}
+    of_it = {"flow_runs": {"id": {"any_": [flow_run]}}, "task_runs": training}
+    wait_for(lambda: place.api("task_runs/filter", of_it), 300)
     return flow_run
 
 
@@ -314,10 +315,8 @@ def test_the_best_model_loads_in_three_lines(place: Place, monkeypatch: pytest.M
     readme = (ROOT / "README.md").read_text()
     (lines,) = re.findall(r"```python\n(import mlflow\n.*?)```", readme, re.DOTALL)
     monkeypatch.chdir(place.folder)
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", "")  # which the lines set, for other tests too
     named: dict[str, Any] = {}
     exec(lines.replace("<sweep>", "from-the-form"), named)
-    named["mlflow"].set_tracking_uri(None)
     columns = [column.name for column in named["model"].metadata.get_input_schema()]
     table = named["model"].predict(pd.DataFrame(np.zeros((3, len(columns))), columns=columns))
     assert np.isfinite(table.to_numpy()).all()
