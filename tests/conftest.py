@@ -27,6 +27,17 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
+def until_it_answers(server: subprocess.Popen[bytes], address: str) -> None:
+    """Wait until a server that was started answers there."""
+    for _ in range(1200):
+        try:
+            with urllib.request.urlopen(address, timeout=1):
+                break
+        except OSError:
+            assert server.poll() is None
+            time.sleep(0.1)
+
+
 @pytest.fixture(scope="session")
 def prefect_server() -> Iterator[dict[str, str]]:
     """A Prefect server for a test process; gives the environment in which the commands of tests use it.
@@ -39,13 +50,7 @@ def prefect_server() -> Iterator[dict[str, str]]:
     server = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     address = f"http://127.0.0.1:{port}/api"
     try:
-        for _ in range(1200):
-            try:
-                with urllib.request.urlopen(f"{address}/health", timeout=1):
-                    break
-            except OSError:
-                assert server.poll() is None
-                time.sleep(0.1)
+        until_it_answers(server, f"{address}/health")
         yield {**os.environ, "PREFECT_API_URL": address}
     finally:
         server.terminate()
@@ -54,6 +59,8 @@ def prefect_server() -> Iterator[dict[str, str]]:
 
 @pytest.fixture(autouse=True)
 def _own_store() -> Iterator[None]:
-    """No test logs where another one did: `mlflow.set_tracking_uri` leaves its address in the environment."""
+    """No test looks for runs where another one did: `mlflow.set_tracking_uri` stays, here and in the environment."""
     yield
+    if "mlflow" in sys.modules:  # importing it for all tests takes seconds
+        sys.modules["mlflow"].set_tracking_uri(None)
     os.environ.pop("MLFLOW_TRACKING_URI", None)

@@ -10,13 +10,13 @@ from typing import Any
 import psutil
 import pytest
 from prefect.settings import PREFECT_API_URL, temporary_settings
-from test_pipeline import ROOT, TINY, children
+from test_pipeline import ROOT, TINY, children, prepare
 
 from flows import train
-from tasks import files, recordings, transitions
-from tasks.params import VirtualParams, load_params
+from tasks import files
+from tasks.params import load_params
 from tasks.train import grid
-from tasks.workspace import SPLITS, Workspace
+from tasks.workspace import Workspace
 
 STEPS = 50_000
 TRAIN = {"models": ["sim_model"], "sample_sizes": [40], "seeds": [0, 1, 2, 3],
@@ -36,11 +36,7 @@ def test_a_killed_worker_is_replaced_and_its_cell_begun_again(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SIMGAP_CLUSTER", "2")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    source, step = params.source("virtual"), 1 / params.transitions.nominal_rate_hz
-    assert isinstance(source, VirtualParams)
-    recordings.record_virtual.fn(workspace, source)
-    for split in SPLITS:
-        transitions.prepare.fn(workspace, split, step)
+    prepare(workspace, params)
     records = [workspace.record(cell).absolute() for cell in grid(params.train)]
     seen: dict[str, Any] = {}
 

@@ -4,6 +4,7 @@ import html
 import json
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -18,18 +19,20 @@ import pandas as pd
 import pytest
 import yaml
 from mlflow import MlflowClient
+from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
-from tasks import files, transitions
-from tasks.params import load_params
+from tasks import files, recordings, transitions
+from tasks.params import Params, VirtualParams, load_params
 from tasks.policy import input_columns as input_columns_of_policies
 from tasks.train import input_columns
-from tasks.workspace import Cell, Share, Workspace
+from tasks.workspace import SPLITS, Cell, Share, Workspace
 
 ROOT = Path(__file__).parents[2]
 TINY: dict[str, Any] = {
-    "recordings": {"virtual": {"training_sessions": 2, "test_sessions": 1, "session_s": 12.0}},
+    # As long as the sessions of `small`, so that diagnoses share what is compiled.
+    "recordings": {"virtual": {"training_sessions": 2, "test_sessions": 1, "session_s": 13.0}},
     "train": {
         "models": ["sim_model", "fsvgd", "sim_fsvgd"],
         "noises": ["student_t"],
@@ -56,28 +59,39 @@ CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
 DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
 
 
-REPRODUCE = ("flows.reproduce", "virtual", "--workspace", "w")
 SWEEP = ("flows.command", "sweep", "virtual", "--name", "w")
 
 
 def start(
-    folder: Path,
-    overrides: dict[str, Any],
-    environment: Mapping[str, str] = os.environ,
-    command: Sequence[str] = REPRODUCE,
+    folder: Path, overrides: dict[str, Any], environment: Mapping[str, str] = os.environ
 ) -> subprocess.Popen[bytes]:
-    """A command in a folder of its own, which holds its parameters, its MLflow store and what is printed as well.
+    """`make run`'s command in a folder of its own."""
+    folder.mkdir(exist_ok=True)
+    (folder / "params.yaml").write_text((ROOT / "params.yaml").read_text())
+    (folder / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+    command = ("flows.reproduce", "virtual", "--overrides", "overrides.yaml", "--workspace", "w")
+    return launch(folder, command, environment)
+
+
+def launch(folder: Path, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """A command in a folder that holds its parameters, its MLflow store and what is printed.
 
     A process group of its own: killed with SIGKILL, a run leaves what it started. Where the environment names no
     Prefect server, it starts one.
     """
-    folder.mkdir(exist_ok=True)
-    params = load_params(ROOT / "params.yaml", overrides).model_dump(mode="json")
-    (folder / "params.yaml").write_text(yaml.safe_dump(params))
     environment = {**environment, "PYTHONPATH": str(ROOT)}
     with (folder / "output.txt").open("wb") as output:
         return subprocess.Popen([sys.executable, "-m", *command], cwd=folder, env=environment, stdout=output,
                                 stderr=subprocess.STDOUT, start_new_session=True)  # fmt: skip
+
+
+def prepare(workspace: Workspace, params: Params) -> None:
+    """Recordings of the virtual robot and their transitions, without a flow."""
+    source, step = params.source("virtual"), 1 / params.transitions.nominal_rate_hz
+    assert isinstance(source, VirtualParams)
+    recordings.record_virtual.fn(workspace, source)
+    for split in SPLITS:
+        transitions.prepare.fn(workspace, split, step)
 
 
 def finish(process: subprocess.Popen[bytes], folder: Path) -> tuple[int, str]:
@@ -172,7 +186,9 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
     tmp_path: Path, prefect_server: dict[str, str]
 ) -> None:
     """A sweep, which trains and scores and does nothing besides; `test_killed` has every stage."""
-    process = start(tmp_path, TINY, prefect_server, SWEEP)
+    params = load_params(ROOT / "params.yaml", TINY).model_dump(mode="json")
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
+    process = launch(tmp_path, SWEEP, prefect_server)
     models = tmp_path / "sweeps" / "w" / "models" / "virtual"
     deadline = time.monotonic() + 300
     while len(list(models.glob("*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
@@ -182,7 +198,7 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
     before = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert 2 <= len(before) < len(CELLS), "the run was to be killed with some cells done and some not"
 
-    status, output = finish(start(tmp_path, TINY, prefect_server, SWEEP), tmp_path)
+    status, output = finish(launch(tmp_path, SWEEP, prefect_server), tmp_path)
     assert status == 0, output
     after = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert len(after) == len(CELLS)
@@ -269,15 +285,18 @@ def test_policies_are_learnt_run_on_the_robot_and_told_of(
     ],
 )
 def test_wrong_input_is_explained_without_a_traceback(
-    tmp_path: Path, prefect_server: dict[str, str], arguments: list[str], overrides: str, words: list[str]
-) -> None:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+    prefect_server: dict[str, str], arguments: list[str], overrides: str, words: list[str],
+) -> None:  # fmt: skip
+    """As `python -m` does it, but in this process: of another one, all time would be its imports."""
     (tmp_path / "params.yaml").write_text((ROOT / "params.yaml").read_text())
     (tmp_path / "o.yaml").write_text(overrides)
-    done = subprocess.run(
-        [sys.executable, "-m", "flows.reproduce", *arguments, "--overrides", "o.yaml", "--workspace", "w"],
-        cwd=tmp_path, env={**prefect_server, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    output = done.stdout + done.stderr
-    assert done.returncode == 1
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["reproduce", *arguments, "--overrides", "o.yaml", "--workspace", "w"])
+    served = temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]})
+    with served, pytest.raises(SystemExit) as ended:
+        runpy.run_module("flows.reproduce", run_name="__main__")
+    output = "".join(capfd.readouterr())
+    assert ended.value.code == 1
     assert all(word in output for word in words), output
     assert "Traceback" not in output

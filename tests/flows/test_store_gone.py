@@ -4,24 +4,21 @@ import os
 import signal
 import subprocess
 import sys
-import time
-import urllib.request
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import free_port
+from conftest import free_port, until_it_answers
 from mlflow import MlflowClient
 from prefect.settings import PREFECT_API_URL, temporary_settings
-from test_pipeline import ROOT, TINY
+from test_pipeline import ROOT, TINY, prepare
 
 from flows import train
 from simgap.types import SimgapError
-from tasks import recordings, transitions
-from tasks.params import VirtualParams, load_params
+from tasks.params import load_params
 from tasks.train import grid
-from tasks.workspace import SPLITS, Workspace
+from tasks.workspace import Workspace
 
 TRAIN = {"models": ["sim_model"], "sample_sizes": [40], "seeds": [0, 1], "workers": 1}
 
@@ -34,13 +31,7 @@ def served(port: int) -> subprocess.Popen[bytes]:
         env={**os.environ, "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}, stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
-    for _ in range(1200):
-        try:
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=1):
-                break
-        except OSError:
-            assert server.poll() is None
-            time.sleep(0.1)
+    until_it_answers(server, f"http://127.0.0.1:{port}/health")
     return server
 
 
@@ -59,11 +50,7 @@ def test_what_was_trained_while_the_server_was_gone_is_logged_when_it_is_back(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{port}")
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
-    source, step = params.source("virtual"), 1 / params.transitions.nominal_rate_hz
-    assert isinstance(source, VirtualParams)
-    recordings.record_virtual.fn(workspace, source)
-    for split in SPLITS:
-        transitions.prepare.fn(workspace, split, step)
+    prepare(workspace, params)
     first, *_ = records = [workspace.record(cell) for cell in grid(params.train)]
     server, replace = served(port), os.replace
 

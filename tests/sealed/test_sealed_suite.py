@@ -158,7 +158,7 @@ def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(
 ) -> None:
     path = next(p for p in map(examined.record, sorted(files.read_json(examined.manifest)["keys"])) if p.exists())
     record = files.read_json(path)
-    files.write_json(path, {**record, "code": "0123456789abcdef"})
+    files.write_json(path, {**record, "fingerprint": f"0123456789abcdef-{record['fingerprint'].split('-', 1)[1]}"})
     try:
         with pytest.raises(SimgapError, match=r"different versions of the code, 0123456789abcdef, .*Run the stage"):
             score.run.fn("development", params, examined.root)
