@@ -41,7 +41,7 @@ def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> 
 
 
 def code_of(mark: str) -> str:
-    """Start of the digest of the code in a fingerprint."""
+    """Start of the digest of the code in a case's fingerprint."""
     return mark.partition("-")[0]
 
 
@@ -117,8 +117,7 @@ def examine_case(
     finally:
         idle.put(examiner)
     error = answer.get("error")
-    mark = marks[case]
-    record = {"fingerprint": mark, "code": code_of(mark), "seconds": answer.get("seconds"), "error": error}
+    record = {"fingerprint": marks[case], "seconds": answer.get("seconds"), "error": error}
     files.write_json(workspace.record(case), record)
     return error
 

@@ -15,6 +15,7 @@ from simgap.types import SimgapError
 from tasks import files, tracking
 from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, metrics, report
+from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, judge, overlap, rows_of
 from tasks.sealed.workspace import SealedWorkspace
 
@@ -46,7 +47,7 @@ def open_keys(workspace: SealedWorkspace) -> Opened:
 def _diagnosing(workspace: SealedWorkspace, cases: Sequence[str]) -> str:
     """Start of the digest of the code by which all cases were examined."""
     records = [files.read_json(workspace.record(c)) for c in cases if workspace.record(c).exists()]
-    codes = sorted({record["code"] for record in records})
+    codes = sorted({code_of(record["fingerprint"]) for record in records})
     if not codes:
         raise SimgapError(f"{workspace.examinations}: no case was examined. Run the stage `examine`.")
     if len(codes) > 1:
