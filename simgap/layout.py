@@ -4,6 +4,7 @@ Motion is read and pushes are written in each body's own frame, on the axes x, y
 the same three characters for a one-axis drive and for a hand on a walking robot.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -13,6 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.types import Schema
+
+_Number = Float[Array, ""] | float
+"""Vectors of a few numbers are computed number by number, and put together last: XLA writes what enters a
+concatenation again for all that is computed of it, so that one inside another takes it long to compile and to run."""
 
 AXES = ("x", "y", "z", "yaw")
 X, Y, Z, YAW = range(4)
@@ -122,9 +127,30 @@ class Layout:
         return bool(max(self.command[body, axis], self.velocity[body, axis], self.position[body, axis]) >= 0)
 
 
-def _turn(xy: Float[Array, " 2"], angle: Float[Array, ""]) -> Float[Array, " 2"]:
+def placed(size: int, index: int, value: Float[Array, "..."]) -> Float[Array, " n"]:
+    """Zeros but for value, a number or several, from an index on. XLA makes a loop of `x.at[index].add(value)`."""
+    value = jnp.atleast_1d(value)
+    return jnp.pad(value, (index, size - index - len(value)))
+
+
+def substituted(x: Float[Array, " n"], index: int, value: Float[Array, ""]) -> Float[Array, " n"]:
+    """x with another value at an index. XLA makes a loop of `x.at[index].set(value)`."""
+    return jnp.where(np.arange(len(x)) == index, value, x)
+
+
+def on_body(layout: Layout, b: int, axis: int, value: Float[Array, "..."]) -> Float[Array, "b 4"]:
+    """A push on one body along the axes from `axis` on, as many as there are values."""
+    size = 4 * len(layout.bodies)
+    return placed(size, 4 * b + axis, value).reshape(-1, 4)
+
+
+def _turn(x: _Number, y: _Number, angle: _Number) -> tuple[_Number, _Number]:
     c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([c * xy[0] - s * xy[1], s * xy[0] + c * xy[1]])
+    return c * x - s * y, s * x + c * y
+
+
+def _rigid(velocity: Sequence[_Number], arm: Sequence[_Number]) -> tuple[_Number, _Number]:
+    return velocity[X] - velocity[YAW] * arm[Y], velocity[Y] + velocity[YAW] * arm[X]
 
 
 def rigid(velocity: Float[Array, " 4"], arm: Float[Array, "..."]) -> Float[Array, " 2"]:
@@ -132,32 +158,33 @@ def rigid(velocity: Float[Array, " 4"], arm: Float[Array, "..."]) -> Float[Array
     return velocity[:2] + velocity[YAW] * jnp.stack([-arm[Y], arm[X]])
 
 
-def _take(values: Float[Array, " n"], indices: np.ndarray) -> Float[Array, " k"]:
-    return jnp.where(indices >= 0, values[np.maximum(indices, 0)], 0.0)
+def _take(values: Float[Array, " n"], indices: np.ndarray) -> list[_Number]:
+    return [values[int(i)] if i >= 0 else 0.0 for i in indices]
 
 
 def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
     """The bodies' motion in their own frames."""
     if not layout.bodies:
         return Motion(jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros(0))
-    angles = [jnp.zeros(()) if heading is None else state[heading] for heading in layout.heading]
+    angles = [0.0 if heading is None else state[heading] for heading in layout.heading]
     rates = [_take(state, columns) for columns in layout.velocity]
-    places = [_take(state, columns)[:3] for columns in layout.position]
+    places = [_take(state, columns) for columns in layout.position]
     owns, worlds = [], []
-    for b, (v, angle) in enumerate(zip(rates, angles, strict=True)):
-        own = _turn(v[:2], -angle) if layout.in_world("velocity", b) else v[:2]
-        owns.append(own)
-        worlds.append(_turn(own, angle))
+    for b, ((x, y, *_), angle) in enumerate(zip(rates, angles, strict=True)):
+        in_world = layout.in_world("velocity", b)
+        owns.append(_turn(x, y, -angle) if in_world else (x, y))
+        worlds.append((x, y) if in_world else _turn(x, y, angle))
     velocities, positions = [], []
     for b, carrier in enumerate(layout.carrier):
-        own, at = owns[b], jnp.zeros(2)
+        own, at = owns[b], (0.0, 0.0)
         if carrier is not None:
-            arm = places[b][:2] - places[carrier][:2]
-            carried = rigid(jnp.concatenate([worlds[carrier], rates[carrier][2:]]), arm)
-            own, at = _turn(worlds[b] - carried, -angles[b]), _turn(arm, -angles[b])
-        velocities.append(jnp.concatenate([own, rates[b][2:]]))
-        positions.append(jnp.concatenate([at, places[b][2:]]))
-    return Motion(jnp.stack(velocities), jnp.stack(positions), jnp.stack(angles))
+            arm = [p - q for p, q in zip(places[b][:Z], places[carrier][:Z], strict=True)]
+            carried = _rigid([*worlds[carrier], *rates[carrier][Z:]], arm)
+            x, y = (w - v for w, v in zip(worlds[b], carried, strict=True))
+            own, at = _turn(x, y, -angles[b]), _turn(*arm, -angles[b])
+        velocities += [*own, *rates[b][Z:]]
+        positions += [*at, places[b][Z]]
+    return Motion(jnp.array(velocities).reshape(-1, 4), jnp.array(positions).reshape(-1, 3), jnp.array(angles))
 
 
 def carried_velocity(layout: Layout, state: Float[Array, " s"], moving: Float[Array, " s"]) -> Float[Array, " s"]:
@@ -170,10 +197,10 @@ def carried_velocity(layout: Layout, state: Float[Array, " s"], moving: Float[Ar
         if carrier is None:
             continue
         p, q = _take(state, layout.position[b]), _take(state, layout.position[carrier])
-        xy = rigid(_take(moving, layout.velocity[carrier]), p[:2] - q[:2])
+        xy = _rigid(_take(moving, layout.velocity[carrier]), [p[X] - q[X], p[Y] - q[Y]])
         for axis in (X, Y):
             if layout.velocity[b, axis] >= 0:
-                out = out.at[int(layout.velocity[b, axis])].set(xy[axis])
+                out = out + placed(len(state), int(layout.velocity[b, axis]), xy[axis])
     return out
 
 
@@ -182,8 +209,8 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
     for b in range(len(layout.bodies)):
         ix, iy = (int(i) for i in layout.velocity[b, :2])
         if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-            xy = _turn(jnp.stack([state[ix], state[iy]]), angle[b])
-            state = state.at[ix].set(xy[0]).at[iy].set(xy[1])
+            x, y = _turn(state[ix], state[iy], angle[b])
+            state = substituted(substituted(state, ix, x), iy, y)
     return state
 
 
@@ -195,31 +222,34 @@ def rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"
         for table in (layout.velocity, layout.position):
             ix, iy = (int(i) for i in table[b, [X, Y]])
             if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-                xy = _turn(jnp.stack([vector[ix], vector[iy]]), sign * state[heading])
-                vector = vector.at[ix].set(xy[0]).at[iy].set(xy[1])
+                x, y = _turn(vector[ix], vector[iy], sign * state[heading])
+                vector = substituted(substituted(vector, ix, x), iy, y)
     return vector
 
 
 def _enter(
-    layout: Layout, what: Literal["position", "velocity", "command"], b: int, heading: Array, delta: Float[Array, " 4"]
-) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
+    layout: Layout, what: Literal["position", "velocity", "command"], b: int, heading: Array, delta: Sequence[_Number]
+) -> tuple[list[_Number], list[_Number]]:
     """What of a body's own-frame push enters along the axes that a table has, and what is left of it, own frame.
 
     Along a world axis that the table lacks nothing enters: what is left is that axis' part.
     """
     has = getattr(layout, what)[b] >= 0
-    if not has[[X, Y]].any() or not layout.in_world(what, b):
-        return jnp.where(has, delta, 0.0), jnp.where(has, 0.0, delta)
-    along = jnp.concatenate([_turn(delta[:2], heading), delta[2:]])
-    left = jnp.where(has, 0.0, along)
-    return jnp.where(has, along, 0.0), jnp.concatenate([_turn(left[:2], -heading), left[2:]])
+    in_world = has[[X, Y]].any() and layout.in_world(what, b)
+    along = [*_turn(delta[X], delta[Y], heading), *delta[Z:]] if in_world else delta
+    entered = [d if h else 0.0 for d, h in zip(along, has, strict=True)]
+    left = [0.0 if h else d for d, h in zip(along, has, strict=True)]
+    return entered, [*_turn(left[X], left[Y], -heading), *left[Z:]] if in_world else left
 
 
-def _add(values: Float[Array, " n"], columns: np.ndarray, added: Float[Array, " 4"]) -> Float[Array, " n"]:
-    for axis in range(4):
-        if columns[axis] >= 0:
-            values = values.at[int(columns[axis])].add(added[axis])
-    return values
+def _filled(size: int, table: np.ndarray, entered: Sequence[Sequence[_Number]]) -> Float[Array, " n"]:
+    """What enters along each body's axes, in the columns of a table."""
+    values: list[_Number] = [0.0] * size
+    for columns, delta in zip(table, entered, strict=True):
+        for column, d in zip(columns, delta, strict=True):
+            if column >= 0:
+                values[column] += d
+    return jnp.array(values)
 
 
 def push(
@@ -231,22 +261,25 @@ def push(
     act on it; else it is added to the velocity of every step, or to the rate of a position without velocity: a push
     across a car, which knows its speed ahead only, moves both its x and its y.
     """
-    n_state = len(layout.schema.state)
-    u, v, p = jnp.zeros(len(layout.schema.command)), jnp.zeros(n_state), jnp.zeros(n_state)
+    tables: list[list[list[_Number]]] = [[], [], []]
     for b in range(len(layout.bodies)):
-        entered, rest = _enter(layout, "command", b, heading[b], delta[b])
-        u = _add(u, layout.command[b], entered)
-        entered, rest = _enter(layout, "velocity", b, heading[b], rest)
-        v = _add(v, layout.velocity[b], entered)
-        entered, _ = _enter(layout, "position", b, heading[b], rest)
-        p = _add(p, layout.position[b], entered)
-    return u, v, p
+        rest = list(delta[b])
+        for table, what in zip(tables, ("command", "velocity", "position"), strict=True):
+            entered, rest = _enter(layout, what, b, heading[b], rest)
+            table.append(entered)
+    n_state = len(layout.schema.state)
+    u, v, p = tables
+    return (
+        _filled(len(layout.schema.command), layout.command, u),
+        _filled(n_state, layout.velocity, v),
+        _filled(n_state, layout.position, p),
+    )
 
 
 def commanded(layout: Layout, b: int, heading: Float[Array, ""], command: Float[Array, " u"]) -> Float[Array, " 4"]:
     """The commands that drive body `b`, in its own frame; zero along axes without one."""
-    u = _take(command, layout.command[b])
-    return jnp.concatenate([_turn(u[:2], -heading), u[2:]]) if layout.in_world("command", b) else u
+    x, y, *rest = _take(command, layout.command[b])
+    return jnp.array([*(_turn(x, y, -heading) if layout.in_world("command", b) else (x, y)), *rest])
 
 
 def wrapped(layout: Layout, difference: Float[Array, "... s"]) -> Float[Array, "... s"]:

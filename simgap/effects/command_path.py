@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Row, Scales, Site, channel_sites
-from simgap.layout import Layout, X, Y
+from simgap.layout import Layout, X, Y, placed, substituted
 
 _U = Float[Array, " u"]
 
@@ -97,7 +97,7 @@ def _cross_axis(c: Float[Array, "1 n"], u: _U, past: Array, row: Row, layout: La
     """u_j + c u_i."""
     leak = jnp.zeros_like(u)
     for k, (i, j) in enumerate(_pairs(layout)):
-        leak = leak.at[j].add(c[0, k] * u[i])
+        leak = leak + placed(len(u), j, c[0, k] * u[i])
     return u + leak
 
 
@@ -118,7 +118,8 @@ def _misalignment(c: Float[Array, "1 n"], u: _U, past: Array, row: Row, layout: 
     for k, b in enumerate(_planar(layout)):
         ix, iy = (int(i) for i in layout.command[b, [X, Y]])
         cos, sin = jnp.cos(c[0, k]), jnp.sin(c[0, k])
-        u = u.at[ix].set(cos * u[ix] - sin * u[iy]).at[iy].set(sin * u[ix] + cos * u[iy])
+        x, y = cos * u[ix] - sin * u[iy], sin * u[ix] + cos * u[iy]
+        u = substituted(substituted(u, ix, x), iy, y)
     return u
 
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Site, Step, body_sites, mounted, turning
-from simgap.layout import YAW, Layout, X, Y, rigid
+from simgap.layout import YAW, Layout, X, Y, on_body, rigid
 
 
 def _carriers(layout: Layout) -> list[tuple[int, int]]:
@@ -33,7 +33,7 @@ def _arm_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         change = step.then.velocity[b, :2] - step.now.velocity[b, :2]
-        out = out.at[carrier, :2].add(-c[0, k] * change)
+        out = out - on_body(step.layout, carrier, X, c[0, k] * change)
     return out
 
 
@@ -41,7 +41,7 @@ def _arm_velocity(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """The carrier's -c w: it gives way in proportion to the mounted body's velocity."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
-        out = out.at[carrier, :2].add(-c[0, k] * step.then.velocity[b, :2])
+        out = out - on_body(step.layout, carrier, X, c[0, k] * step.then.velocity[b, :2])
     return out
 
 
@@ -50,7 +50,7 @@ def _arm_moment(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         change, arm = step.then.velocity[b] - step.now.velocity[b], step.now.position[b]
-        out = out.at[carrier, YAW].add(-c[0, k] * (arm[X] * change[Y] - arm[Y] * change[X]))
+        out = out - on_body(step.layout, carrier, YAW, c[0, k] * (arm[X] * change[Y] - arm[Y] * change[X]))
     return out
 
 
@@ -60,7 +60,7 @@ def _base_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         arm = step.now.position[b]
         change = rigid(step.then.velocity[carrier], arm) - rigid(step.now.velocity[carrier], arm)
-        out = out.at[b, :2].add(-c[0, k] * change)
+        out = out - on_body(step.layout, b, X, c[0, k] * change)
     return out
 
 
@@ -69,7 +69,8 @@ def _induced(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         arm = step.now.position[b]
-        out = out.at[b, :2].add(c[0, k] * step.then.velocity[carrier, YAW] * jnp.stack([-arm[Y], arm[X]]))
+        sideways = jnp.stack([-arm[Y], arm[X]])
+        out = out + on_body(step.layout, b, X, c[0, k] * step.then.velocity[carrier, YAW] * sideways)
     return out
 
 
@@ -78,7 +79,7 @@ def _centripetal(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         omega = step.then.velocity[carrier, YAW]
-        out = out.at[b, :2].add(c[0, k] * omega**2 * step.now.position[b, :2])
+        out = out + on_body(step.layout, b, X, c[0, k] * omega**2 * step.now.position[b, :2])
     return out
 
 
@@ -87,7 +88,7 @@ def _rotation_centre(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(turning(step.layout)):
         omega = step.then.velocity[b, YAW]
-        out = out.at[b, :2].add(omega * jnp.stack([c[1, k], -c[0, k]]))
+        out = out + on_body(step.layout, b, X, omega * jnp.stack([c[1, k], -c[0, k]]))
     return out
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.layout import Layout, Motion
+from simgap.layout import Layout, Motion, on_body
 
 Place = Literal["command", "filter", "before", "push", "after", "sensing"]
 HISTORY_ROWS = 8
@@ -196,7 +196,5 @@ def floored(layout: Layout) -> list[int]:
 
 def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:
     """Values given per axis site, as a table of bodies x axes."""
-    table = jnp.zeros((len(layout.bodies), 4))
-    for value, (b, a) in zip(values, axis_indices(layout), strict=True):
-        table = table.at[b, a].set(value)
-    return table
+    places = zip(values, axis_indices(layout), strict=True)
+    return sum((on_body(layout, b, a, value) for value, (b, a) in places), jnp.zeros((len(layout.bodies), 4)))

@@ -16,7 +16,7 @@ from simgap.effects.effect import (
     turning,
 )
 from simgap.effects.resistance import speed
-from simgap.layout import YAW, Layout, X, Y, Z, commanded, rigid
+from simgap.layout import YAW, Layout, X, Y, Z, commanded, on_body, placed, rigid
 
 
 def _lifted(layout: Layout) -> list[int]:
@@ -32,7 +32,7 @@ def _sag(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """-c r along z, r the horizontal reach."""
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(_lifted(step.layout)):
-        out = out.at[b, Z].add(-c[0, k] * _distance(step.now.position[b, :2]))
+        out = out - on_body(step.layout, b, Z, c[0, k] * _distance(step.now.position[b, :2]))
     return out
 
 
@@ -47,9 +47,8 @@ def _payload(inherited: bool):
             u = jnp.where(layout.command[b] >= 0, u, now.velocity[b])
             v = now.velocity[b]
             if inherited:
-                v = v.at[:Z].add(rigid(now.velocity[layout.carrier[b]], now.position[b]))
-            out = out.at[b].add(-on * c[0, k] * (u - v))
-            out = out.at[b, Z].add(-on * c[1, k])
+                v = v + placed(4, X, rigid(now.velocity[layout.carrier[b]], now.position[b]))
+            out = out - on_body(layout, b, X, on * c[0, k] * (u - v)) - on_body(layout, b, Z, on * c[1, k])
         return out
 
     return law
@@ -62,7 +61,7 @@ def _slope(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
         angle = step.now.heading[b]
         x = jnp.cos(angle) * c[0, k] + jnp.sin(angle) * c[1, k]
         y = -jnp.sin(angle) * c[0, k] + jnp.cos(angle) * c[1, k]
-        out = out.at[b, :2].add(speed(step.now.velocity[b]) * jnp.stack([x, y]))
+        out = out + on_body(step.layout, b, X, speed(step.now.velocity[b]) * jnp.stack([x, y]))
     return out
 
 
@@ -76,7 +75,7 @@ def _external(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = on_axes(step.layout, c[0])
     cos, sin = jnp.cos(step.now.heading), jnp.sin(step.now.heading)
     x, y = cos * out[:, X] + sin * out[:, Y], -sin * out[:, X] + cos * out[:, Y]
-    return out.at[:, X].set(x).at[:, Y].set(y)
+    return jnp.concatenate([jnp.stack([x, y], axis=1), out[:, Z:]], axis=1)
 
 
 def _fraction_of_command(fraction: float):

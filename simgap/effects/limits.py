@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, floored, reaching
-from simgap.layout import Layout, X, Y, Z, commanded
+from simgap.layout import Layout, X, Y, Z, commanded, on_body, substituted
 
 SOFT = 0.02
 """Share of the reach over which commands fade at the limit, for a law with a slope."""
@@ -20,7 +20,7 @@ def _outward(axes: int):
             distance = jnp.sqrt(arm @ arm + 1e-8)
             u = commanded(step.layout, b, step.now.heading[b], step.command)[:axes]
             beyond = jnp.clip((distance * c[0, k] - 1) / SOFT + 0.5, 0.0, 1.0)
-            out = out.at[b, :axes].add(-beyond * jnp.maximum(u @ arm / distance, 0.0) * arm / distance)
+            out = out - on_body(step.layout, b, X, beyond * jnp.maximum(u @ arm / distance, 0.0) * arm / distance)
         return out
 
     return law
@@ -38,9 +38,9 @@ def _contact(
         z, vz = (int(table[b, Z]) for table in (layout.position, layout.velocity))
         floor = jnp.where(c[0, k] > 0, scales.height[k, 0] + c[0, k], -jnp.inf)
         below = then[z] < floor
-        then = then.at[z].max(floor)
+        then = substituted(then, z, jnp.maximum(then[z], floor))
         if vz >= 0:
-            then = then.at[vz].set(jnp.where(below, jnp.maximum(then[vz], 0.0), then[vz]))
+            then = substituted(then, vz, jnp.where(below, jnp.maximum(then[vz], 0.0), then[vz]))
     return then
 
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Scales, Step, axis_sites, body_sites, on_axes, turning
-from simgap.layout import YAW, X, Y
+from simgap.layout import YAW, X, Y, on_body
 
 
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
@@ -30,7 +30,7 @@ def _slip_turning(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(turning(step.layout)):
         v = step.now.velocity[b]
-        out = out.at[b, :2].add(-c[0, k] * jnp.abs(v[YAW]) * v[:2])
+        out = out - on_body(step.layout, b, X, c[0, k] * jnp.abs(v[YAW]) * v[:2])
     return out
 
 
@@ -39,7 +39,7 @@ def _slip_walking(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(turning(step.layout)):
         v = step.now.velocity[b]
-        out = out.at[b, YAW].add(-c[0, k] * speed(v) * v[YAW])
+        out = out - on_body(step.layout, b, YAW, c[0, k] * speed(v) * v[YAW])
     return out
 
 

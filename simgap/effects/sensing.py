@@ -1,6 +1,7 @@
 """What the sensors make of the state. `law(c[k, sites], state, past_states, row, layout) -> measured`."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Row, Scales, Site
@@ -31,7 +32,7 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row:
     """The state c rows ago, between two rows in proportion."""
     delay = jnp.zeros(len(layout.schema.state))
     for k, (_, members) in enumerate(_sensors(layout)):
-        delay = delay.at[jnp.array(members)].set(c[0, k])
+        delay = jnp.where(np.isin(np.arange(len(delay)), members), c[0, k], delay)
     since = wrapped(layout, jnp.concatenate([state[None], past]) - state)
     rows = jnp.arange(len(since))[:, None]
     return state + (jnp.maximum(0.0, 1 - jnp.abs(rows - delay)) * since).sum(0)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Row, Scales, Site, body_sites, mounted
-from simgap.layout import YAW, Layout, X, Y, carried_velocity, turned, wrapped
+from simgap.layout import YAW, Layout, X, Y, carried_velocity, placed, turned, wrapped
 
 _S = Float[Array, " s"]
 MISTIMED = 0.3
@@ -29,7 +29,7 @@ def _integration_rule(c: Float[Array, "1 n"], state: _S, then: _S, layout: Layou
     """p' + c h (v - v'): positions advance by the old velocity to the share c."""
     for k, i in enumerate(_integrated(layout)):
         v = int(layout.integrates[i])
-        then = then.at[i].add(c[0, k] * scales.interval[i] * (state[v] - then[v]))
+        then = then + placed(len(then), i, c[0, k] * scales.interval[i] * (state[v] - then[v]))
     return then
 
 
@@ -59,7 +59,7 @@ def _own_motion(c: Float[Array, "1 n"], state: _S, layout: Layout, scales: Scale
     for k, b in enumerate(mounted(layout)):
         for axis in (X, Y):
             i = int(layout.velocity[b, axis])
-            state = state.at[i].add(-c[0, k] * carried[i])
+            state = state - placed(len(state), i, c[0, k] * carried[i])
     return state
 
 
@@ -84,7 +84,7 @@ def _body_frame(c: Float[Array, "1 n"], state: _S, layout: Layout, scales: Scale
     for k, b in enumerate(_rotating(layout)):
         heading = layout.heading[b]
         assert heading is not None  # by _rotating
-        angle = angle.at[b].set(c[0, k] * scales.interval[heading] * state[_yaw_rate(layout, b)])
+        angle = angle + placed(len(angle), b, c[0, k] * scales.interval[heading] * state[_yaw_rate(layout, b)])
     return turned(layout, state, angle)
 
 
