@@ -48,7 +48,7 @@ def design(problem: Problem, a: Fit, b: Fit, recordings: list[Recording]) -> Exp
     ]  # fmt: skip
     pieces = as_chunks(parts)
     box = silent(problem.augmented.layout)
-    seen = [np.asarray(forecast(problem.augmented, problem.scales, f.v, pieces, box)) for f in (a, b)]
+    seen = [forecast(problem.augmented, problem.scales, f.v, pieces, box) for f in (a, b)]
     apart = 0.5 * (((seen[0] - seen[1]) @ problem.whiten.T / a.noise.scale) ** 2).sum((1, 2))
     apart[~_within(problem, seen[0], recordings)] = -1.0
     best = int(np.nanargmax(apart))

@@ -14,15 +14,17 @@ from simgap.diagnosis.innovations import (
     Chunks,
     Variables,
     as_chunks,
-    bare,
     corrected,
     gain_matrix,
     sent_before,
     wrap,
 )
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
-from simgap.effects.effect import Row, Scales
+from simgap.effects.effect import Memory, Row, Scales
 from simgap.types import Recording
+
+PIECES, SEGMENT = 64, 10
+"""Pieces, and rows of them, that are computed at once: one size whatever the horizon, for each is compiled anew."""
 
 
 def windows(recordings: Sequence[Recording], time_step: float, horizon: int, stride: int) -> Chunks | None:
@@ -39,34 +41,76 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
     return as_chunks(parts) if parts else None
 
 
-@partial(jax.jit, static_argnames="augmented")
 def forecast(
     augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
-) -> Float[Array, "W h s"]:
+) -> Float[np.ndarray, "W h s"]:
     """Predicted measurements of the rows after each piece's run-in, never corrected again; `box` adds to every step."""
+    count = len(pieces.row)
+    parts = []
+    for first in range(0, count, PIECES):
+        # The last batch is filled up by repetition.
+        index = np.minimum(np.arange(first, first + PIECES), count - 1)
+        some = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
+        parts.append(_forecast(augmented, scales, v, some, box)[: count - first])
+    return np.concatenate(parts)
+
+
+def _forecast(
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
+) -> Float[np.ndarray, "W h s"]:
+    steps = pieces.state.shape[1] - 1
+    trust = np.broadcast_to(np.arange(steps) < RUN_IN, (PIECES, steps)).astype(np.float32)
+    times = (pieces.time_s[:, :-1], pieces.time_s[:, 1:])
+    rows = (pieces.state[:, 1:], pieces.command[:, :-1], *times, pieces.interval[:, :-1], pieces.gate[:, :-1], trust)
+    going = _begin(augmented, v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
+    parts = []
+    for first in range(0, steps, SEGMENT):
+        # The last segment is filled up by repetition.
+        index = np.minimum(np.arange(first, first + SEGMENT), steps - 1)
+        going, seen = _go_on(augmented, scales, v, box, going, tuple(a[:, index] for a in rows))
+        parts.append(np.asarray(seen))
+    return np.concatenate(parts, axis=1)[:, RUN_IN:steps]
+
+
+_Going = tuple[Memory, Float[Array, "W s"]]
+"""Memory and estimated state at the end of a segment."""
+
+
+@partial(jax.jit, static_argnames="augmented")
+def _begin(
+    augmented: Augmented,
+    v: Variables,
+    state: Float[Array, "W s"],
+    past: Float[Array, "W h u"],
+    time_s: Float[Array, " W"],
+    turns: Float[Array, "W m u"],
+) -> _Going:
+    active = augmented.active(v.theta, v.gated)
+
+    def one(state: Array, past: Array, time_s: Array, turns: Array) -> tuple[Memory, Array]:
+        first = unsense(augmented, v.theta, state, time_s)
+        return remember(augmented, v.theta, first, past, time_s, turns, active), first
+
+    return jax.vmap(one)(state, past, time_s, turns)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def _go_on(
+    augmented: Augmented, scales: Scales, v: Variables, box: BlackBox, going: _Going, rows: tuple[Array, ...]
+) -> tuple[_Going, Float[Array, "W t s"]]:
     phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
     active = augmented.active(v.theta, v.gated)
 
-    def one(chunk: Chunks) -> Float[Array, "h s"]:
-        first = unsense(augmented, v.theta, chunk.state[0], chunk.time_s[0])
-        memory = remember(augmented, v.theta, first, chunk.past, chunk.time_s[0], chunk.turns, active)
+    def row(carry, now):
+        memory, x = carry
+        y_next, u, time_s, next_s, interval, gate, trust = now
+        theta = v.theta + gate * v.gated
+        sent = jnp.concatenate([u[None], memory.commands])
+        added = correct(augmented.layout, box, x, sent)
+        here = Row(time_s, interval)
+        memory, x = advance(augmented, phi, theta, scales, memory, x, u, here, active)
+        x = x + added
+        seen = sense(augmented, theta, memory, x, here._replace(time_s=next_s), active)
+        return (memory, corrected(augmented.layout, trust * K, x, wrap(augmented, y_next - seen))), seen
 
-        def row(carry, now):
-            memory, x = carry
-            y_next, u, time_s, next_s, interval, gate, trust = now
-            theta = v.theta + gate * v.gated
-            sent = jnp.concatenate([u[None], memory.commands])
-            added = correct(augmented.layout, box, x, sent)
-            here = Row(time_s, interval)
-            memory, x = advance(augmented, phi, theta, scales, memory, x, u, here, active)
-            x = x + added
-            seen = sense(augmented, theta, memory, x, here._replace(time_s=next_s), active)
-            return (memory, corrected(augmented.layout, trust * K, x, wrap(augmented, y_next - seen))), seen
-
-        steps = len(chunk.state) - 1
-        trust = (jnp.arange(steps) < RUN_IN).astype(jnp.float32)
-        times = (chunk.time_s[:-1], chunk.time_s[1:])
-        rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1], trust)
-        return jax.lax.scan(row, (memory, first), rows)[1][RUN_IN:]
-
-    return jax.vmap(one)(bare(pieces))
+    return jax.vmap(lambda going, rows: jax.lax.scan(row, going, rows))(going, rows)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -24,8 +23,6 @@ DRAWS = 1000
 LEAST_SESSIONS = 5
 MARGIN = 0.005
 """Share of its error by which a model must be worse to be called so: any two differ by chance in the fourth digit."""
-PIECES = 64
-"""Predicted side by side: one number, for each is compiled anew."""
 
 
 class Contestant(NamedTuple):
@@ -91,15 +88,7 @@ def _measured(pieces: Chunks) -> np.ndarray:
 def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
     """Predicted measurements [n, horizon, s] after each piece's run-in."""
     box = contestant.box if contestant.box is not None else silent(problem.augmented.layout)
-    count = len(pieces.row)
-    parts = []
-    for first in range(0, count, PIECES):
-        # The last batch is filled up by repetition.
-        index = np.minimum(np.arange(first, first + PIECES), count - 1)
-        some = jax.tree.map(lambda a, index=index: a[index], pieces)
-        part = np.asarray(forecast(problem.augmented, problem.scales, contestant.v, some, box))
-        parts.append(part[: count - first])
-    return np.concatenate(parts)
+    return forecast(problem.augmented, problem.scales, contestant.v, pieces, box)
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
