@@ -127,13 +127,13 @@ class Layout:
         return bool(max(self.command[body, axis], self.velocity[body, axis], self.position[body, axis]) >= 0)
 
 
-def placed(size: int, index: int, value: Float[Array, "..."]) -> Float[Array, " n"]:
+def placed(size: int, index: int, value: Float[Array, "..."] | float) -> Float[Array, " n"]:
     """Zeros but for value, a number or several, from an index on. XLA makes a loop of `x.at[index].add(value)`."""
-    value = jnp.atleast_1d(value)
-    return jnp.pad(value, (index, size - index - len(value)))
+    values = jnp.atleast_1d(jnp.asarray(value))
+    return jnp.pad(values, (index, size - index - len(values)))
 
 
-def substituted(x: Float[Array, " n"], index: int, value: Float[Array, ""]) -> Float[Array, " n"]:
+def substituted(x: Float[Array, " n"], index: int, value: _Number) -> Float[Array, " n"]:
     """x with another value at an index. XLA makes a loop of `x.at[index].set(value)`."""
     return jnp.where(np.arange(len(x)) == index, value, x)
 
@@ -178,10 +178,10 @@ def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
     for b, carrier in enumerate(layout.carrier):
         own, at = owns[b], (0.0, 0.0)
         if carrier is not None:
-            arm = [p - q for p, q in zip(places[b][:Z], places[carrier][:Z], strict=True)]
-            carried = _rigid([*worlds[carrier], *rates[carrier][Z:]], arm)
+            ahead, across = (places[b][axis] - places[carrier][axis] for axis in (X, Y))
+            carried = _rigid([*worlds[carrier], *rates[carrier][Z:]], (ahead, across))
             x, y = (w - v for w, v in zip(worlds[b], carried, strict=True))
-            own, at = _turn(x, y, -angles[b]), _turn(*arm, -angles[b])
+            own, at = _turn(x, y, -angles[b]), _turn(ahead, across, -angles[b])
         velocities += [*own, *rates[b][Z:]]
         positions += [*at, places[b][Z]]
     return Motion(jnp.array(velocities).reshape(-1, 4), jnp.array(positions).reshape(-1, 3), jnp.array(angles))
