@@ -170,14 +170,15 @@ def screen(
 
 
 def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
-    """What was tested of some hypotheses' constants, those of greatest gain, best first."""
+    """What was tested of some hypotheses' constants, those of greatest gain, best first; of jagged laws as many, for
+    what is near such a law's summit but not on it has little of its gain."""
     tested: dict[tuple[str, bool, bool, int], list[Screened]] = {}
     for s in sorted(found, key=lambda s: -s.gain):
         candidate = s.candidate
-        if not candidate.effect.jagged:
-            key = (candidate.name, candidate.groups[0].gated, bool(candidate.twin), s.constant)
-            tested.setdefault(key, []).append(s)
-    return list(tested.values())[:PROMISING]
+        key = (candidate.name, candidate.groups[0].gated, bool(candidate.twin), s.constant)
+        tested.setdefault(key, []).append(s)
+    smooth, jagged = ([t for t in tested.values() if t[0].candidate.effect.jagged == j] for j in (False, True))
+    return [*smooth[:PROMISING], *jagged[:PROMISING]]
 
 
 def _closer(tested: Sequence[Screened]) -> list[_Direction]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
-from simgap.layout import Layout, motion, push
+from simgap.layout import Layout, Motion, carried_velocity, motion, push
 from simgap.types import StepModel
 
 Theta = Float[Array | np.ndarray, " P"]
@@ -215,7 +215,10 @@ def advance(
             du, dv, _ = push(layout, now.heading, jnp.ones_like(nil))
             return motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
 
-        step = Step(now, expected, response, u, layout, scales, row)
+        def own() -> Motion:
+            return motion(layout, simulator.step(phi, start - carried_velocity(layout, start, start), u))
+
+        step = Step(now, expected, response, own, u, layout, scales, row)
         du, dv, dp = push(layout, now.heading, sum((law(nil, step) for law in laws), nil))
         return simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
 

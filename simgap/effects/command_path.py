@@ -43,9 +43,12 @@ def _gain(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) 
     return u * (1 + c[0])
 
 
-def _asymmetric_gain(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
-    """(1 - c) u where u < 0."""
-    return u - c[0] * jnp.minimum(u, 0.0)
+def _asymmetric_gain(side: int):
+    def law(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+        """(1 - c) u where u has the sign of the side."""
+        return u - c[0] * side * jnp.maximum(side * u, 0.0)
+
+    return law
 
 
 def _gain_drift(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
@@ -140,6 +143,8 @@ def _reciprocal(c: float, site: int, scales: Scales) -> float:
     return 1 / c if c else np.inf
 
 
+_RATIO = (Constant("ratio", "-", lambda c, site, scales: 1 - c, -2.0, 0.95),)
+
 EFFECTS = (
     Effect(
         "delay", "command",
@@ -166,9 +171,12 @@ EFFECTS = (
         _fixed(-0.15), _gain, "commands are followed by a factor of {gain}", tie="any",
     ),
     Effect(
-        "asymmetric_gain", "command", (Constant("ratio", "-", lambda c, site, scales: 1 - c, -2.0, 0.95),),
-        channel_sites, _fixed(0.15), _asymmetric_gain,
-        "negative commands are followed by only {ratio} of what positive ones are", tie="any",
+        "asymmetric_gain", "command", _RATIO, channel_sites, _fixed(0.15), _asymmetric_gain(-1),
+        "negative commands are followed by only {ratio} of what positive ones are", tie="any", form="negative",
+    ),
+    Effect(
+        "asymmetric_gain", "command", _RATIO, channel_sites, _fixed(0.15), _asymmetric_gain(1),
+        "positive commands are followed by only {ratio} of what negative ones are", tie="any", form="positive",
     ),
     Effect(
         "gain_drift", "command", (Constant("change", "1/min", low=-1.0, high=1.0),), channel_sites, _fixed(-0.1),

@@ -8,9 +8,13 @@ from simgap.layout import YAW, X, Y, on_body
 
 
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """-c sign(v'), or what stops the motion within the step where c suffices for that: it sticks."""
+    """-c sign(v'), or what stops the motion within the step where c suffices for that: it sticks.
+
+    v' is what the body's own drive makes it move by: a simulator whose velocity memory holds the carrier's motion would
+    have an arm at rest on a walking base slide in its joints.
+    """
     response = step.response()
-    stops = step.then.velocity / jnp.where(jnp.abs(response) > 1e-6, response, jnp.inf)
+    stops = step.own().velocity / jnp.where(jnp.abs(response) > 1e-6, response, jnp.inf)
     most = on_axes(step.layout, c[0])
     return -jnp.clip(stops, -most, most)
 
