@@ -27,6 +27,8 @@ CLOSER = 2
 """so many times,"""
 BETWEEN = 3
 """with so many values between two that were tested."""
+MULTIPLES = (3, 5, 7, 9)
+"""Of the true steps of a staircase, at which it looks right as well: every so many of them coincide."""
 FEW = 10
 """Blocks that are too few to tell a variance."""
 DRAWS = 4000
@@ -162,7 +164,7 @@ def screen(
         # Where it stands a strong effect is another direction than near nil, and so is a limit than one a little
         # further out: what a direction misses of it counts as noise.
         *_, found = summed(results)
-        results += tested([d for starts in _most_promising(found) for d in _closer(starts)])
+        results += tested([d for starts in _most_promising(found) for d in _closer(starts, candidates)])
     evidence, weighed, found = summed(results)
     best_first = np.argsort(-weighed.gain, kind="stable")
     evidence = Evidence(*(a[best_first] for a in evidence))
@@ -181,8 +183,12 @@ def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
     return [*smooth[:PROMISING], *jagged[:PROMISING]]
 
 
-def _closer(tested: Sequence[Screened]) -> list[_Direction]:
-    """A hypothesis where its best start led to, or between that start and those beside it."""
+def _closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[_Direction]:
+    """A hypothesis where its best start led to, or between that start and those beside it.
+
+    Of a jagged law, whose summits are narrow: also at some of its sites alone, whose own starts may lie beside the
+    summit; and where the steps of a staircase that looks right are an odd multiple of the true ones.
+    """
     best, k = tested[0], tested[0].constant
     if _scales(best.candidate, k):
         return [_Direction(best.candidate, best.start, k)]
@@ -192,7 +198,17 @@ def _closer(tested: Sequence[Screened]) -> list[_Direction]:
     ratios = [ratios[0], *ratios, ratios[-1]]
     shares = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
     between = [values[i] * ratio**share for ratio in (1 / ratios[i], ratios[i + 1]) for share in shares]
-    return [_Direction(best.candidate, (*best.start[:k], float(v), *best.start[k + 1 :]), k) for v in between]
+    there = [best.candidate]
+    if best.candidate.effect.jagged:
+        there += [c for c in candidates if _part(c, best.candidate)]
+        between += [best.start[k] / n for n in (1, *MULTIPLES)]
+    return [_Direction(c, (*best.start[:k], float(v), *best.start[k + 1 :]), k) for c in there for v in between]
+
+
+def _part(candidate: Candidate, of: Candidate) -> bool:
+    """Whether a hypothesis is that of the same law at some of its sites."""
+    alike = candidate.effect is of.effect and candidate.groups[0].gated == of.groups[0].gated
+    return alike and bool(candidate.twin) == bool(of.twin) and set(candidate.sites) < set(of.sites)
 
 
 def _scales(candidate: Candidate, k: int) -> bool:
