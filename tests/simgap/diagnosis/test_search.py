@@ -25,6 +25,7 @@ CASES = [
     case("deadband", (0.12,), (1,)),
     case("backlash", (0.2,)),
     case("quantization", (0.5,)),
+    case("quantization", (0.051,), (4,)),  # finer than the starts of the search are close
     case("gain", (-0.2,)),
     case("asymmetric_gain.negative", (0.25,)),
     case("asymmetric_gain.positive", (0.25,)),
