@@ -18,6 +18,7 @@ from simgap.types import Schema
 _Number = Float[Array, ""] | float
 """Vectors of a few numbers are computed number by number, and put together last: XLA writes what enters a
 concatenation again for all that is computed of it, so that one inside another takes it long to compile and to run."""
+_Numbers = Sequence[_Number] | Float[Array, " n"]
 
 AXES = ("x", "y", "z", "yaw")
 X, Y, Z, YAW = range(4)
@@ -149,13 +150,13 @@ def _turn(x: _Number, y: _Number, angle: _Number) -> tuple[_Number, _Number]:
     return c * x - s * y, s * x + c * y
 
 
-def _rigid(velocity: Sequence[_Number], arm: Sequence[_Number]) -> tuple[_Number, _Number]:
+def _rigid(velocity: _Numbers, arm: _Numbers) -> tuple[_Number, _Number]:
     return velocity[X] - velocity[YAW] * arm[Y], velocity[Y] + velocity[YAW] * arm[X]
 
 
 def rigid(velocity: Float[Array, " 4"], arm: Float[Array, "..."]) -> Float[Array, " 2"]:
     """Horizontal velocity of a point at `arm` that moves rigidly with a body."""
-    return velocity[:2] + velocity[YAW] * jnp.stack([-arm[Y], arm[X]])
+    return jnp.stack(_rigid(velocity, arm))
 
 
 def _take(values: Float[Array, " n"], indices: np.ndarray) -> list[_Number]:
