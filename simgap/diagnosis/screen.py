@@ -164,7 +164,7 @@ def screen(
         # Where it stands a strong effect is another direction than near nil, and so is a limit than one a little
         # further out: what a direction misses of it counts as noise.
         *_, found = summed(results)
-        results += tested([d for starts in _most_promising(found) for d in _closer(starts, candidates)])
+        results += tested([d for starts in _most_promising(found) for d in closer(starts, candidates)])
     evidence, weighed, found = summed(results)
     best_first = np.argsort(-weighed.gain, kind="stable")
     evidence = Evidence(*(a[best_first] for a in evidence))
@@ -183,16 +183,17 @@ def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
     return [*smooth[:PROMISING], *jagged[:PROMISING]]
 
 
-def _closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[_Direction]:
+def closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[_Direction]:
     """A hypothesis where its best start led to, or between that start and those beside it.
 
     Of a jagged law, whose summits are narrow: also at some of its sites alone, whose own starts may lie beside the
     summit; and where the steps of a staircase that looks right are an odd multiple of the true ones.
     """
     best, k = tested[0], tested[0].constant
-    if _scales(best.candidate, k):
-        return [_Direction(best.candidate, best.start, k)]
     values = sorted({s.start[k] for s in tested})
+    # One value is left as well where the model explodes at all others.
+    if _scales(best.candidate, k) or len(values) == 1:
+        return [_Direction(best.candidate, best.start, k)]
     i = values.index(best.start[k])
     ratios = [later / value for value, later in pairwise(values)]
     ratios = [ratios[0], *ratios, ratios[-1]]

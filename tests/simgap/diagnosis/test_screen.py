@@ -1,0 +1,32 @@
+"""Where promising hypotheses are looked at more closely."""
+
+from planted import SCALES, SPOT
+
+from simgap.diagnosis.candidates import candidates
+from simgap.diagnosis.screen import Screened, closer
+
+KNOWN = candidates(SPOT, SCALES)
+
+
+def screened(name: str, *starts: float) -> list[Screened]:
+    (candidate,) = (c for c in KNOWN if c.name == name)
+    return [Screened(candidate, (start,), 0, 1.0, 1.0, 1.0) for start in starts]
+
+
+def test_a_law_that_is_no_multiple_of_its_constant_is_looked_at_between_its_starts() -> None:
+    values = [d.values[0] for d in closer(screened("delay on base", 1.0, 0.5, 2.0), KNOWN)]
+    assert all(0.5 < v < 2.0 for v in values)
+    assert any(v < 1 for v in values)
+    assert any(v > 1 for v in values)
+
+
+def test_where_all_other_starts_explode_there_is_nothing_between() -> None:
+    (direction,) = closer(screened("rate_limit on cmd_ee_vx", 8.0), KNOWN)
+    assert direction.values == (8.0,)
+
+
+def test_a_staircase_is_looked_for_at_odd_parts_and_on_single_commands() -> None:
+    found = closer(screened("quantization on ee", 0.3, 0.27, 0.33), KNOWN)
+    assert {d.candidate.where for d in found} == {"ee", "cmd_ee_vx", "cmd_ee_vy", "cmd_ee_vz"}
+    for candidate in {d.candidate.where for d in found}:
+        assert {0.3, 0.1, 0.06} <= {round(d.values[0], 9) for d in found if d.candidate.where == candidate}
