@@ -75,7 +75,7 @@ def _external(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     out = on_axes(step.layout, c[0])
     cos, sin = jnp.cos(step.now.heading), jnp.sin(step.now.heading)
     x, y = cos * out[:, X] + sin * out[:, Y], -sin * out[:, X] + cos * out[:, Y]
-    return jnp.concatenate([jnp.stack([x, y], axis=1), out[:, Z:]], axis=1)
+    return jnp.stack([x, y, out[:, Z], out[:, YAW]], axis=1)
 
 
 def _fraction_of_command(fraction: float):

@@ -228,9 +228,8 @@ def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
     _, state, command = scene(robot, seed)
     now, then = motion(augmented.layout, state), motion(augmented.layout, scene(robot, seed + 1)[1])
     response = jnp.abs(motion(augmented.layout, scene(robot, seed + 2)[1]).velocity)
-    return Step(now, then, lambda: response, lambda: then, command, augmented.layout, scales(robot), ROW), np.asarray(
-        response
-    )
+    step = Step(now, then, lambda: response, lambda: then, command, augmented.layout, scales(robot), ROW)
+    return step, np.asarray(response)
 
 
 @robots
