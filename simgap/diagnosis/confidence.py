@@ -3,11 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from simgap.diagnosis.candidates import Candidate, unit_of
 from simgap.diagnosis.fit import Fit, Problem, constant_columns, directions, weights
 from simgap.diagnosis.screen import blocks
+from simgap.diagnosis.search import LEAST_SHARE
 
 Z95 = 1.96
 
@@ -19,8 +20,13 @@ class Spread(NamedTuple):
     constants: Float[np.ndarray, " k"]
 
 
-def spread(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"]) -> Spread:
-    """The larger of the likelihood's own and the sandwich covariance over blocks of rows [White 1982]."""
+def spread(
+    problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], starts: Int[np.ndarray, " B"] | None = None
+) -> Spread:
+    """The larger of the likelihood's own and the sandwich covariance over blocks of rows [White 1982].
+
+    Blocks begin at `starts`, or are short.
+    """
     columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
     _, precision = directions(problem, fit.groups)
     w = weights(fit.e, fit.noise).astype(np.float64)
@@ -29,7 +35,8 @@ def spread(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"]) -> 
     hessian = weighted.reshape(len(columns), -1) @ flat.T + np.diag(precision)
     inverse = np.linalg.pinv(hessian, hermitian=True)
     rows = (weighted * fit.e).sum(-1)
-    score = np.add.reduceat(rows, blocks(np.asarray(problem.chunks.counts)), axis=1)
+    starts = blocks(np.asarray(problem.chunks.counts)) if starts is None else starts
+    score = np.add.reduceat(rows, starts, axis=1)
     sandwich = inverse @ (score @ score.T) @ inverse
     sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
     parameters = problem.augmented.simulator.parameters
@@ -37,23 +44,27 @@ def spread(problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"]) -> 
     return Spread(sd[: len(parameters)] * ranges, sd[len(nuisance) :])
 
 
-def told_from_nil(fit: Fit, candidate: Candidate, sd: Spread) -> bool:
-    """Whether the interval of any of the effect's amplitudes leaves out zero."""
+def told_from_nil(fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
+    """Whether any of the effect's amplitudes is so many standard deviations from zero."""
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         value = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
-        if not constant.shapes and abs(value) > Z95 * sd.constants[fit.groups.index(group)]:
+        if not constant.shapes and abs(value) > deviations * sd.constants[fit.groups.index(group)]:
             return True
     return False
 
 
-def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> list[dict]:
-    """The effect's physical constants with units and 95 % intervals."""
-    found = []
+def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> list[dict]:
+    """The physical constants of an effect that gains so many nats, with units and 95 % intervals.
+
+    They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
+    difference between a law and the robot, whose constant is not known better than that from any number of rows.
+    """
+    found, deviations = [], np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0))
     low, high = problem.augmented.bounds
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         # Where the gate is open both act: what holds everywhere and what is added there.
         c = float(fit.v.theta[group.entries[0]]) + float(fit.v.gated[group.entries[0]])
-        width = Z95 * float(sd.constants[fit.groups.index(group)])
+        width = deviations * float(sd.constants[fit.groups.index(group)])
         bounds = (float(low[group.entries[0]]), float(high[group.entries[0]]))
         physical = [
             float(constant.physical(float(np.clip(x, *bounds)), candidate.sites[0], problem.scales))

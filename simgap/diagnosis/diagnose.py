@@ -72,7 +72,7 @@ def diagnose(
     statement = tell.statement(name, found, sessions, contestants, judged, plan, rng)
     evidence = tell.evidence(found, sessions, contestants, statement["verdict"], plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
-    return Diagnosis(statement, evidence, _model(found, bool(baseline)), commands)
+    return Diagnosis(statement, evidence, _model(found), commands)
 
 
 def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:
@@ -112,10 +112,10 @@ def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan 
     return designed and tell.Plan(designed, (member.candidate.effect.id, rival.candidate.effect.id))
 
 
-def _model(found: Explanation, compared: bool) -> AugmentedModel:
+def _model(found: Explanation) -> AugmentedModel:
     v, noise, problem = found.fit.v, found.fit.noise, found.problem
     # Since the baseline, what changed acts besides; what acts for a while only is no part of the simulator.
-    theta = np.asarray(v.theta + v.gated if compared else v.theta)
+    theta = np.asarray(v.theta + v.gated if found.baseline and not found.when else v.theta)
     return AugmentedModel(
         np.asarray(v.phi),
         theta,

@@ -9,11 +9,12 @@ from simgap.diagnosis.candidates import candidates, changed, gated
 from simgap.diagnosis.confidence import Spread, spread, told_from_nil
 from simgap.diagnosis.fit import Fit, Problem, evaluate, optimise, start, whitening
 from simgap.diagnosis.innovations import Chunks, cut
-from simgap.diagnosis.left_over import LeftOver, left_over, named_share
+from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
-from simgap.diagnosis.search import Model, Round, Say, search, without
+from simgap.diagnosis.search import Round, Say, Tried, search, without
+from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed
 from simgap.diagnosis.when import When, gate
 from simgap.effects.augmented import Augmented
@@ -29,7 +30,7 @@ class Explanation(NamedTuple):
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
     sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the
     held-out rows, gated as the effects are. when: the time when one of the effects acts, if not throughout. rounds:
-    what was tried.
+    what was tried. baseline: number of its sessions; with any, what is left over is what they do not leave as well.
     """
 
     problem: Problem
@@ -43,6 +44,7 @@ class Explanation(NamedTuple):
     unseen: Chunks
     when: When | None
     rounds: list[Round]
+    baseline: int
 
     def names(self, member: Member) -> bool:
         """Whether an effect explains its outputs, rather than being the nearest word for something else.
@@ -80,8 +82,7 @@ def explain(
     augmented = Augmented(simulator)
     sessions = [*baseline, *training]
     scales, time_step = measure(augmented, sessions), simulator.time_step
-    chunks = cut(sessions, time_step)
-    chunks = chunks._replace(gate=_since(chunks, len(baseline)))
+    chunks = behind_gate(cut(sessions, time_step), len(baseline))
     unseen = cut(heldout, time_step, least=len(chunks.row))
     problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.state)))
     as_is = evaluate(problem, start(problem), ())
@@ -91,22 +92,24 @@ def explain(
     if baseline:
         say(f"what the baseline of {len(baseline)} sessions shows by itself")
         before = problem._replace(chunks=cut(baseline, time_step, least=len(chunks.row)))
-        agree = lambda *_: True  # noqa: E731  # no session of the baseline is held out
-        known = search(before, evaluate(before, as_is.v, ()), throughout, agree, rng, say).model.fit
+        # No session of the baseline is held out.
+        known = search(before, evaluate(before, as_is.v, ()), throughout, lambda *_: True, rng, say).model.fit
         as_is = evaluate(problem, known.v, known.groups)
-        # What both have and the baseline alone was too short to show is no change.
-        hypotheses = [*throughout, *(changed(c) for c in throughout)]
+        # Each is measured beside its twin: what both have and the baseline alone was too short to show is no change.
+        hypotheses = [changed(c) for c in throughout]
 
-    def helps(problem: Problem, without: Fit, with_it: Fit) -> bool:
+    def helps(problem: Problem, tried: Tried) -> bool:
         # What acts in one session of training only is nothing to the others.
-        elsewhere = not np.asarray(unseen.gate).any() and with_it.groups[-1].gated
-        return elsewhere or gain(problem, unseen, without, with_it) > 0
+        elsewhere = not np.asarray(unseen.gate).any() and tried.candidate.groups[0].gated
+        holds = elsewhere or gain(problem, unseen, tried.without, tried.fit) > 0
+        return holds and (not baseline or differs(problem, tried, len(baseline)))
 
     say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
     searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
     model, members, rounds = defend(searched, hypotheses, helps, rng, say)
     odd = sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.rare)
-    model, members = outshone(model, members, odd, say)
+    if not baseline:  # which has odd rows as well, that would make up as much
+        model, members = outshone(model, members, odd, say)
     when = None if baseline else acts_when(model, members, say)
     if not (baseline or members or odd):
         when = begins(model, searched.rounds[0].screening, rng, say)
@@ -119,43 +122,22 @@ def explain(
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)
         members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
-    if not baseline and not odd:
+    if not odd and not (baseline and members):
         # Odd rows look like pushes, one by one.
         model, members = pushed(model, members, events, throughout, rng, say)
+        members = tuple(m for m in members if not acted_before(m.when, len(baseline)))
     when = next((m.when for m in members if m.when), None)
     unseen = seen_at(unseen, when)
     say("looking at the scatter that is left")
-    scattered = _scatter_since(model, training, baseline, unseen) if baseline else scatter(*model[:2], unseen)
+    scattered = scatter_since(model, training, baseline, unseen) if baseline else scatter(*model[:2], unseen)
     before = searched.base
     if baseline:
-        members = tuple(m for m in members if m.candidate.twin)
         before = without(model.fit, [group for m in members for group in m.candidate.groups])
     base, _ = optimise(model.problem, evaluate(model.problem, before.v, before.groups))
     return Explanation(
         model.problem, as_is, base, model.fit, spread(*model), members, scattered,
-        left_over(model.problem, model.fit), unseen, when, [*searched.rounds, *rounds],
+        leaves(model.problem, model.fit, len(baseline)), unseen, when, [*searched.rounds, *rounds], len(baseline),
     )  # fmt: skip
-
-
-def _scatter_since(
-    model: Model, training: Sequence[Recording], baseline: Sequence[Recording], unseen: Chunks
-) -> list[Scatter]:
-    """Effects on the scatter that the baseline does not agree to."""
-    problem, fit, _ = model
-
-    def on(chunks: Chunks, seen: Chunks) -> list[Scatter]:
-        at = problem._replace(chunks=chunks)
-        return scatter(at, evaluate(at, fit.v, fit.groups, fit.noise), seen)
-
-    time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
-    after, before = (cut(sessions, time_step, least) for sessions in (training, baseline))
-    known = {s.id for s in on(after, before._replace(gate=0 * before.gate))}
-    return [s for s in on(after, unseen) if s.id not in known]
-
-
-def _since(chunks: Chunks, baseline: int) -> np.ndarray:
-    """Gate that is open in the sessions after those of the baseline."""
-    return np.repeat((np.asarray(chunks.session) >= baseline)[:, None], chunks.gate.shape[1], 1).astype(np.float32)
 
 
 def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:

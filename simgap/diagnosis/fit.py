@@ -22,8 +22,10 @@ BATCH = 16
 """Directions whose derivatives are computed side by side: one number, for each is compiled anew."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
-STEPS = ((1.0, 0.5), (0.2, 0.05))
-"""Shares of a Gauss-Newton step that are tried; the later ones where the first do not lead uphill."""
+SHARES = (1.0, 0.5, 0.2, 0.05)
+"""Of a Gauss-Newton step, tried one after the other, until one"""
+ENOUGH = 0.5
+"""gains this share of what it should, were the model linear."""
 CONVERGED = 0.05
 """Gain [nats] below which iterations end."""
 HELD = 4
@@ -253,19 +255,40 @@ def _prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np
     )
 
 
+class Held(NamedTuple):
+    """Derivatives that are kept for several steps; gram: of each output's, at the weights."""
+
+    columns: Float[np.ndarray, "M n s"]
+    weights: Float[np.ndarray, "n s"]
+    gram: Float[np.ndarray, "s M M"]
+
+
+def hold(fit: Fit, columns: Float[np.ndarray, "M n s"]) -> Held:
+    """Derivatives at a fit."""
+    w = weights(fit.e, fit.noise).astype(np.float32)
+    outputs = np.moveaxis(columns, 2, 0)
+    return Held(columns, w, np.stack([(c * each) @ c.T for c, each in zip(outputs, w.T, strict=True)]))
+
+
 def gauss_newton(
     problem: Problem,
     fit: Fit,
-    columns: Float[np.ndarray, "M n s"],
-    precision: Float[np.ndarray, " M"],
+    held: Held,
+    renewed: Float[np.ndarray, "k n s"],
+    precision: Float[np.ndarray, " M+k"],
 ) -> Fit:
-    """One step from `fit` along columns of all its free directions; the best of several lengths, or `fit` itself."""
+    """One step from `fit` along all its free directions; the best of the lengths tried, or `fit` itself.
+
+    The gradient is that at `fit`; of the Hessian, whose products are dear, only the level of its weights is.
+    """
     w = weights(fit.e, fit.noise).astype(np.float32)
-    flat = columns.reshape(len(columns), -1)
-    weighted = flat * w.reshape(-1)
+    level, k = w.mean(0) / held.weights.mean(0), len(renewed)
+    rows = np.concatenate([renewed * (held.weights * level), [w * fit.e]]).reshape(k + 1, -1)
+    by_held, by_renewed = (rows @ c.reshape(len(c), rows.shape[1]).T for c in (held.columns, renewed))
     offset = _prior_offset(problem, fit.v, fit.groups)
-    hessian = (weighted @ flat.T).astype(np.float64) + np.diag(precision)
-    gradient = (weighted @ fit.e.reshape(-1)).astype(np.float64) + precision * offset
+    upper = np.hstack([np.tensordot(level, held.gram, 1), by_held[:k].T])
+    hessian = np.vstack([upper, np.hstack([by_held[:k], by_renewed[:k]])]).astype(np.float64) + np.diag(precision)
+    gradient = np.concatenate([by_held[k], by_renewed[k]]).astype(np.float64) + precision * offset
     hessian += 1e-6 * np.diag(np.diag(hessian)) + 1e-9 * np.eye(len(hessian))
     delta = -np.linalg.solve(hessian, gradient)
 
@@ -275,25 +298,30 @@ def gauss_newton(
         away = _prior_offset(problem, v, fit.groups)
         return float(log_density(e, fit.noise).sum()) - 0.5 * float(precision @ away**2)
 
-    now = value(fit.e, fit.v)
-    for shares in STEPS:
-        moved = [_moved(problem, fit.v, fit.groups, share * delta) for share in shares]
-        e = trials(problem, moved)
-        values = [value(e[i], v) for i, v in enumerate(moved)]
-        best = int(np.argmax(values))
-        if values[best] > now:
-            noise = fit_noise(e[best])
-            return Fit(moved[best], fit.groups, e[best], noise, float(log_density(e[best], noise).sum()))
-    return fit
+    slope, now, best = -float(delta @ gradient), value(fit.e, fit.v), None
+    for share in SHARES:
+        v = _moved(problem, fit.v, fit.groups, share * delta)
+        e = trials(problem, [v])[0]
+        gain = value(e, v) - now
+        if best is not None and gain < best[0]:
+            break  # beyond the best length
+        if gain > 0:
+            best = gain, v, e
+        if gain > ENOUGH * slope * share * (1 - share / 2):
+            break
+    if best is None:
+        return fit
+    _, v, e = best
+    noise = fit_noise(e)
+    return Fit(v, fit.groups, e, noise, float(log_density(e, noise).sum()))
 
 
-def refine(problem: Problem, fit: Fit, held: Float[np.ndarray, "M n s"], iterations: int) -> Fit:
+def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:
     """Gauss-Newton with some derivatives held, those by phi, K and the first of the constants, the others renewed."""
     _, precision = directions(problem, fit.groups)
-    renewed = fit.groups[len(held) + len(fit.groups) - len(precision) :]
+    renewed = fit.groups[len(held.columns) + len(fit.groups) - len(precision) :]
     for _ in range(iterations):
-        columns = np.concatenate([held, constant_columns(problem, fit.v, renewed)])
-        improved = gauss_newton(problem, fit, columns, precision)
+        improved = gauss_newton(problem, fit, held, constant_columns(problem, fit.v, renewed), precision)
         gain = improved.loglik - fit.loglik
         fit = improved
         if gain < CONVERGED:
@@ -314,7 +342,7 @@ def optimise(problem: Problem, fit: Fit, enough: float = CONVERGED) -> tuple[Fit
         )
     nuisance = nuisance_columns(problem, fit.v)
     for _ in range(RENEWALS):
-        improved = refine(problem, fit, nuisance, HELD)
+        improved = refine(problem, fit, hold(fit, nuisance), HELD)
         gain = improved.loglik - fit.loglik
         fit = improved
         if gain < enough:

@@ -51,6 +51,14 @@ def left_over(problem: Problem, fit: Fit) -> LeftOver:
     return LeftOver(*(np.where(sure, a, 0.0) for a in (nats, share, foretold * fit.noise.scale)))
 
 
+def by_row(fit: Fit, left: LeftOver) -> Float[np.ndarray, "n s"]:
+    """What each row has of the log-likelihood that foretelling gains."""
+    y = np.clip(fit.e / fit.noise.scale, -3, 3)
+    rest = y - left.foretold / fit.noise.scale
+    before, after = (np.maximum((a**2).mean(0), 1e-12) for a in (y, rest))
+    return 0.5 * (y**2 / before - rest**2 / after + np.log(before / after))
+
+
 def _gained(y: Float[np.ndarray, "n s"], foretold: Float[np.ndarray, "n s"]) -> tuple[np.ndarray, np.ndarray]:
     """Log-likelihood gained [nats], and share of the squares foretold, per column."""
     share = 1 - ((y - foretold) ** 2).sum(0) / np.maximum((y**2).sum(0), 1e-12)

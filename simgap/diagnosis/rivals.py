@@ -7,9 +7,12 @@ import numpy as np
 
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
-from simgap.diagnosis.screen import blocks
+from simgap.diagnosis.screen import Screening, blocks
 from simgap.diagnosis.search import LEAST_SHARE, Found, Helps, Model, Round, Say, Tried, least, one_more, without
 from simgap.diagnosis.when import When
+
+RIVAL = 0.03
+"""Share of what a member was expected to gain when it was chosen that a rival must have been expected to gain."""
 
 
 class Member(NamedTuple):
@@ -41,22 +44,22 @@ def defend(
         rest = evaluate(model.problem, base.v, base.groups)
         return model, (member(model.problem, found.rounds[0].tried, rest),), []
     members, rounds = [], []
-    for candidate in found.chosen:
+    for candidate, chosen in zip(found.chosen, found.rounds, strict=False):
         say(f"{candidate.name} against its rivals, given the other effects")
         problem, fit, _ = model
         rest = without(fit, candidate.groups)
         reduced = Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups)))
-        tried = one_more(reduced, candidates, rng, say)
-        rounds.append(tried)
         own = Tried.of(candidate, fit, reduced.fit)
-        rivals = [t for t in tried.tried if t.candidate.name != candidate.name]
+        tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, own)
+        rounds.append(tried)
+        rivals = [t for t in tried.tried if t is not own]
         better = _better(reduced, rivals, own, helps)
         if better is not None:
             say(f"{better.candidate.name} replaces {candidate.name} ({better.gain - own.gain:+.1f} nats)")
             model = Model(problem, *optimise(problem, better.fit))
             rivals.remove(better)
             own = better
-        if own.gain < max(tried.screening.threshold / 2, least(problem, base, reduced.fit, model.fit)):
+        if own.gain < max(chosen.screening.threshold / 2, least(problem, base, reduced.fit, model.fit)):
             say(f"{candidate.name} is not needed beside the others")
             model = reduced
         else:
@@ -64,10 +67,19 @@ def defend(
     return model, tuple(members), rounds
 
 
+def _rivals(candidate: Candidate, when_chosen: Screening, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """A member and the hypotheses that came near it when it was chosen; the others are no rivals now."""
+    gains: dict[str, float] = {}
+    for s in when_chosen.found:
+        gains[s.candidate.name] = max(s.gain, gains.get(s.candidate.name, 0.0))
+    least = RIVAL * gains.get(candidate.name, 0.0)
+    return [c for c in candidates if c is candidate or (c.name != candidate.name and gains.get(c.name, 0.0) >= least)]
+
+
 def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps) -> Tried | None:
     """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
     ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
-    return next((t for t in ahead if helps(reduced.problem, t.without, t.fit)), None)
+    return next((t for t in ahead if helps(reduced.problem, t)), None)
 
 
 def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:

@@ -49,6 +49,8 @@ HELD = (1, 2, 3, 4)
 SEGMENT = 64
 """Rows of the periodograms in which stepping is looked for."""
 LEVEL = 1e-3
+STRONGER = 1.5
+"""Times the amplitude of any in a baseline that shaking must have to be new."""
 
 
 class Scatter(NamedTuple):
@@ -76,16 +78,24 @@ class _Sample(NamedTuple):
     starts: np.ndarray
 
 
-def scatter(problem: Problem, fit: Fit, unseen: Chunks) -> list[Scatter]:
-    """All effects on the scatter that training and held-out sessions agree on."""
+def scatter(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None = None) -> list[Scatter]:
+    """All effects on the scatter that training and held-out sessions agree on, but for what a baseline has as well."""
+    found = [_of_rows(problem, fit, unseen), _stepping(problem, fit, unseen, before)]
+    if before is not None and found[0] is not None:
+        known = _of_rows(problem, fit, before)
+        if known is not None and known.id == found[0].id:
+            found = found[1:]
+    return [f for f in found if f is not None]
+
+
+def _of_rows(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
+    """The best word for rows that scatter more than others."""
     training, heldout = (_sample(problem._replace(chunks=c), fit) for c in (problem.chunks, unseen))
     mine = (problem, fit.noise, training, heldout)
     rare = [r for r in (_late_rows(*mine), _lost_commands(*mine)) if r is not None]
     # What has a name of its own goes before scatter that grows; of words for the same rows, the better one.
     wide = [w for w in (_jitter(*mine), None if rare else _motion(*mine)) if w is not None]
-    found = [max((*rare, *wide), key=lambda s: s.gain, default=None)]
-    found.append(_stepping(problem, fit, unseen))
-    return [f for f in found if f is not None]
+    return max((*rare, *wide), key=lambda s: s.gain, default=None)
 
 
 def _sample(problem: Problem, fit: Fit) -> _Sample:
@@ -277,13 +287,19 @@ def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _
     )  # fmt: skip
 
 
-def _stepping(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
-    """A peak in the periodogram of an output's innovations, over the level of its neighbours."""
+def _stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) -> Scatter | None:
+    """A peak in the periodogram of an output's innovations, over the level of its neighbours.
+
+    A robot that steps does so with the force and at the rate that its way asks for: what is new exceeds the strongest
+    peak of the baseline, wherever that lies.
+    """
     power, count = _periodogram(problem, fit)
     found = _peak(power, count)
     if found is None:
         return None
     k, best, gain, amplitude = found
+    if before is not None and amplitude < STRONGER * _strongest(problem._replace(chunks=before), fit, best):
+        return None
     there, segments = _periodogram(problem._replace(chunks=unseen), fit)
     level = _neighbours(there[:, best])[k] if segments else 1.0
     held = float(there[k, best] / level - segments) if segments else 0.0
@@ -316,6 +332,13 @@ def _periodogram(problem: Problem, fit: Fit) -> tuple[Float[np.ndarray, "f s"], 
     return total, count
 
 
+def _strongest(problem: Problem, fit: Fit, output: int) -> float:
+    """Amplitude of an output's strongest peak."""
+    power, segments = _periodogram(problem, fit)
+    inside = range(3, len(power) - 2)
+    return max(_amplitude(power[:, output], segments, k) for k in inside) if segments else 0.0
+
+
 def _neighbours(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
     """Level around every frequency: the greater of the medians at 3 to 8 bins' distance below and above.
 
@@ -343,10 +366,15 @@ def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, flo
         # Of a flat spectrum the ratio is Gamma distributed; the level itself is an estimate, hence half the segments.
         chance = gammaincc(segments / 2, ratio[k] / 2) * power.size
         if chance < LEVEL and (best is None or ratio[k] > best[4]):
-            excess = (power[k - 1 : k + 2, j] / segments - level[k]).clip(0).sum() * 2 / SEGMENT
             gain = ratio[k] - segments - segments * np.log(ratio[k] / segments)
-            best = (k, j, float(gain), float(np.sqrt(2 * excess)), float(ratio[k]))
+            best = (k, j, float(gain), _amplitude(power[:, j], segments, k), float(ratio[k]))
     return best[:4] if best and best[2] > OWED else None
+
+
+def _amplitude(power: Float[np.ndarray, " f"], segments: int, k: int) -> float:
+    """Of a wave at a bin and those beside it, by its power over the level around it."""
+    level = _neighbours(power)[k]
+    return float(np.sqrt(4 * (power[k - 1 : k + 2] - level).clip(0).sum() / (segments * SEGMENT)))
 
 
 def _all(problem: Problem) -> tuple[str, ...]:

@@ -9,11 +9,14 @@ from jaxtyping import Float
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import (
     HELD,
+    THREADS,
     Fit,
     Group,
+    Held,
     Problem,
     constant_columns,
     evaluate,
+    hold,
     log_density,
     optimise,
     refine,
@@ -34,22 +37,21 @@ MOST_EFFECTS = 4
 MOST_SITES = 6
 """An effect that acts at several sites with several constants takes a step for each."""
 FITTED = 10
-"""Hypotheses that get a first fit in a round."""
+"""Hypotheses that get a first fit in a round, at most,"""
+HOPELESS = 0.1
+"""where they are expected to gain this share of the best gain so far."""
 FINALISTS = 4
 """Those whose fit is carried on,"""
+CONTENDER = 0.5
+"""and to its end where it gains, or should, this share of what the best gains."""
 SHARES = tuple(np.geomspace(1, 0.02, 8))
 """Of the amplitude that the screening expects, where a fit may start."""
-CONTENDER = 0.5
-"""and to its end where it gains this share of what the best gains."""
 SETTLED = 1.0
 SETTLED_SHARE = 0.01
 """Nats, and share of its gain, below which what a finalist still gains decides nothing."""
 
 Say = Callable[[str], None]
 """`say(line)`: what is being tried."""
-
-Helps = Callable[[Problem, Fit, Fit], bool]
-"""`helps(problem, without, with_it)`: whether sessions that take no part agree that an effect is there."""
 
 
 class Model(NamedTuple):
@@ -63,18 +65,36 @@ class Model(NamedTuple):
 class Tried(NamedTuple):
     """A hypothesis with its constants fitted: gain in log-likelihood over the model without it [nats].
 
-    Without a change since a baseline, the effect may be there all along: `without` has its twin fitted.
+    Without a change since a baseline, the effect may be there all along: `without` has its twin fitted. expected: what
+    the screening expects it to gain.
     """
 
     candidate: Candidate
     fit: Fit
     without: Fit
     gain: float
+    expected: float
 
     @staticmethod
-    def of(candidate: Candidate, fit: Fit, without: Fit) -> "Tried":
+    def of(candidate: Candidate, fit: Fit, without: Fit, expected: float = 0.0) -> "Tried":
         """With the gain that the two fits make."""
-        return Tried(candidate, fit, without, fit.loglik - without.loglik)
+        return Tried(candidate, fit, without, fit.loglik - without.loglik, expected)
+
+    @property
+    def promise(self) -> float:
+        """What it may gain when it is fitted to the end.
+
+        Where an effect moves phi or the gain far, the derivatives at hand do not lead there.
+        """
+        return max(self.gain, self.expected)
+
+    def further(self, fit_further: Callable[[Fit], Fit]) -> "Tried":
+        """Fitted on."""
+        return Tried.of(self.candidate, fit_further(self.fit), self.without, self.expected)
+
+
+Helps = Callable[[Problem, Tried], bool]
+"""Whether sessions that take no part agree that an effect is there."""
 
 
 class Round(NamedTuple):
@@ -125,39 +145,45 @@ def least(problem: Problem, base: Fit, fit: Fit, better: Fit) -> float:
     return LEAST_SHARE * float(np.maximum(now - before, 0.0) @ more) / max(float(more.sum()), 1e-9)
 
 
-def one_more(model: Model, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say) -> Round:
-    """Screen all hypotheses, fit the most promising, carry the best of those to the end."""
+def one_more(
+    model: Model, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say, own: Tried | None = None
+) -> Round:
+    """Screen all hypotheses, fit the most promising, carry the best of those to the end.
+
+    One of them may be fitted already: the `own` that holds the place.
+    """
     problem, fit, _ = model
     taken = {(entry, group.gated) for group in fit.groups for entry in group.entries}
     free = [c for c in candidates if not taken & {(e, g.gated) for g in c.groups for e in g.entries}]
-    held = absorbing(model)
-    screening = screen(problem, fit, held, free, LEVEL, rng)
+    absorbed = absorbing(model)
+    screening = screen(problem, fit, absorbed, free, LEVEL, rng)
     say(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
     if screening.p_value > LEVEL:
         return Round(screening, [])
-    tried = side_by_side(lambda s: _try(problem, fit, held, s, 3), _promising(screening.found))
-    # Where an effect and phi have to move together the derivatives at hand do not lead there: what the screening
-    # expects most of is fitted to the end.
-    expected = tried[0].candidate if tried else None
-    tried.sort(key=lambda t: (t.candidate is not expected, -t.gain))
-
-    def further(t: Tried, fit_further: Callable[[Fit], Fit]) -> Tried:
-        return Tried.of(t.candidate, fit_further(t.fit), t.without)
-
-    finalists = side_by_side(lambda t: further(t, lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
-    # An effect moves the gain far at times: the derivatives held so far no longer lead uphill then.
-    far = CONTENDER * max((t.gain for t in finalists), default=0.0)
-
-    def to_its_end(t: Tried) -> Tried:
-        if t.gain < far and t.candidate is not expected:
-            return t
-        enough = max(SETTLED, SETTLED_SHARE * t.gain)
-        return further(t, lambda f: optimise(problem, f, enough)[0])
-
-    finalists = side_by_side(to_its_end, finalists)
-    tried = sorted([*finalists, *tried[FINALISTS:]], key=lambda t: -t.gain)
+    held, fitted = hold(fit, absorbed), [own] if own else []
+    promising = [s for s in _promising(screening.found) if s.candidate.name not in {t.candidate.name for t in fitted}]
+    tried: list[Tried] = []
+    for some in _at_once(promising):
+        best = max([t.gain for t in (*fitted, *tried)], default=0.0)
+        tried += side_by_side(lambda s: _try(problem, fit, held, s, 3), [s for s in some if s.gain >= HOPELESS * best])
+    tried.sort(key=lambda t: -t.promise)
+    finalists = side_by_side(lambda t: t.further(lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
+    others, tried = tried[FINALISTS:], []
+    for some in _at_once(sorted(finalists, key=lambda t: -t.promise)):
+        best = max(t.gain for t in (*fitted, *finalists, *tried))
+        tried += side_by_side(lambda t, far=CONTENDER * best: _to_its_end(problem, t) if t.promise >= far else t, some)
+    tried = sorted([*fitted, *tried, *others], key=lambda t: -t.gain)
     say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
+
+
+def _at_once(ordered: Sequence) -> list[Sequence]:
+    return [ordered[first : first + THREADS] for first in range(0, len(ordered), THREADS)]
+
+
+def _to_its_end(problem: Problem, t: Tried) -> Tried:
+    enough = max(SETTLED, SETTLED_SHARE * t.gain)
+    return t.further(lambda f: optimise(problem, f, enough)[0])
 
 
 def _promising(found: Sequence[Screened]) -> list[Screened]:
@@ -177,7 +203,7 @@ def _promising(found: Sequence[Screened]) -> list[Screened]:
     return chosen
 
 
-def _try(problem: Problem, fit: Fit, held: Float[np.ndarray, "M n s"], s: Screened, iterations: int) -> Tried:
+def _try(problem: Problem, fit: Fit, held: Held, s: Screened, iterations: int) -> Tried:
     v = _highest(problem, fit, s)
     twin = tuple(g for g in s.candidate.twin if g not in fit.groups)
     begun = evaluate(problem, v, (*fit.groups, *twin, *s.candidate.groups), fit.noise)
@@ -186,7 +212,7 @@ def _try(problem: Problem, fit: Fit, held: Float[np.ndarray, "M n s"], s: Screen
         there = vary(fit.v, s.candidate._replace(groups=s.candidate.twin), s.start)
         begun = evaluate(problem, there, (*fit.groups, *twin), fit.noise)
         rest = max(fit, refine(problem, begun, held, iterations + HELD), key=lambda f: f.loglik)
-    return Tried.of(s.candidate, done, rest)
+    return Tried.of(s.candidate, done, rest, s.gain)
 
 
 def _highest(problem: Problem, fit: Fit, s: Screened) -> Variables:
@@ -219,7 +245,7 @@ def search(
         found = one_more(model, candidates, rng, say)
         owed = found.screening.threshold / 2
         worthy = [t for t in found.tried if t.gain > max(owed, least(model.problem, base, model.fit, t.fit))]
-        best = next((t for t in worthy if helps(model.problem, t.without, t.fit)), None)
+        best = next((t for t in worthy if helps(model.problem, t)), None)
         for t in worthy[: worthy.index(best)] if best else worthy:
             say(f"{t.candidate.name} does not hold on sessions that took no part")
         if best is None:

@@ -14,6 +14,7 @@ from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.left_over import LeftOver, left_over
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter import Scatter
+from simgap.diagnosis.since import leaves
 from simgap.effects import CATALOGUE
 from simgap.types import Recording
 
@@ -57,7 +58,7 @@ def statement(
     layout = found.problem.augmented.layout
     share, verdict = _verdict(found, judged, rng)
     # Where no name stands, what is left over is what the simulator leaves by itself.
-    left = left_over(found.problem, found.base) if verdict == "unexplained" else found.left
+    left = leaves(found.problem, found.base, found.baseline) if verdict == "unexplained" else found.left
     members = [(found.names(m), _effect(found, m, sessions.fitted)) for m in found.members]
     effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
     doubtful = [e for sure, e in members if not sure]
@@ -105,12 +106,16 @@ def evidence(
 
 
 def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) -> tuple[dict[str, Any] | None, str]:
-    """Share of the black box's gain that named physics makes, and the verdict."""
+    """Share of the black box's gain that named physics makes, and the verdict.
+
+    With a baseline there is no such share: most of what a black box finds was there before.
+    """
     if not judged.heldout:
         return None, "missing_physics" if found.members or found.scattered else "nothing"
     heldout = judged.heldout
     refitted = heldout["refitted"]
-    share = judge.explained_share(refitted, heldout.get("augmented", refitted), heldout["black_box"], rng)
+    augmented = heldout.get("augmented", refitted)
+    share = None if found.baseline else judge.explained_share(refitted, augmented, heldout["black_box"], rng)
     named = any(found.names(m) for m in found.members)
     little = share is not None and share["ci95"][1] < EXPLAINED
     astray = named and any(judge.worse(j["refitted"], j["augmented"], rng) for j in judged)
@@ -199,7 +204,7 @@ def _scattered(s: Scatter) -> dict[str, Any]:
 
 def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> dict[str, Any]:
     problem, candidate = found.problem, member.candidate
-    constants = confidence.constants(problem, found.fit, candidate, found.sd)
+    constants = confidence.constants(problem, found.fit, candidate, found.sd, member.gain)
     cumulative, credible = 0.0, []
     for effect, p in member.odds.items():
         credible.append(effect)

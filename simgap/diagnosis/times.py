@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from simgap.diagnosis.candidates import Candidate, gated
-from simgap.diagnosis.fit import Fit, evaluate, optimise, refine, trials
+from simgap.diagnosis.fit import Fit, evaluate, hold, optimise, refine, trials
 from simgap.diagnosis.rivals import Member, member
 from simgap.diagnosis.screen import Evidence, Screening, Weighed, blocks, by_chance, vary, weigh
 from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, Tried, one_more, without
@@ -137,4 +137,4 @@ def _behind_gate(model: Model, throughout: Candidate) -> Fit:
     constants = [float(fit.v.theta[g.entries[0]]) for g in throughout.groups]
     rest = without(fit, throughout.groups)
     begun = evaluate(problem, vary(rest.v, candidate, constants), (*rest.groups, *candidate.groups), fit.noise)
-    return refine(problem, begun, nuisance, 4)
+    return refine(problem, begun, hold(fit, nuisance), 4)

@@ -1,11 +1,18 @@
 """What changed since a baseline: what it shows by itself is no change, whether it moves the mean or the scatter."""
 
 import numpy as np
+import pytest
 from planted import SPOT, recordings, stalled
-from small import RICH, ROWS, acting
+from small import RICH, ROWS, acting, problem
 
 from simgap.diagnosis import explain as explanation
+from simgap.diagnosis.candidates import candidates, changed
 from simgap.diagnosis.explain import Explanation
+from simgap.diagnosis.fit import evaluate, optimise, start, whitening
+from simgap.diagnosis.screen import vary
+from simgap.diagnosis.search import Tried
+from simgap.diagnosis.since import LEAST_SESSIONS, behind_gate, differs
+from simgap.types import Recording
 
 SAG = acting("gravity_sag", (0.06,))
 BOTH = SAG | acting("delay", (1.4,), (0, 1, 2))
@@ -36,3 +43,34 @@ def test_stalls_that_were_there_before_are_no_change() -> None:
     found = since({}, {}, STALLS)
     assert not found.members
     assert not found.scattered
+
+
+def followed(gains: tuple[float, ...], seed: int) -> list[Recording]:
+    """A session for each factor by which the base follows its commands."""
+    each = [recordings(acting("gain", (g - 1,), (0, 1, 2)), seed + i, 1, ROWS)[0] for i, g in enumerate(gains)]
+    return [r._replace(name=f"{seed}-{i}") for i, r in enumerate(each)]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "change"),
+    [
+        ((0.6, 0.9, 0.7, 1.05, 0.8), (0.9, 0.7, 1.05, 0.8, 0.5), False),
+        ((0.75, 0.9, 0.8, 0.95, 0.85), (0.25, 0.4, 0.3, 0.45, 0.35), True),
+    ],
+)
+def test_what_varies_from_session_to_session_is_no_change(
+    before: tuple[float, ...], after: tuple[float, ...], change: bool
+) -> None:
+    """The likelihood alone would have it otherwise: no two sets of such sessions are alike."""
+    assert len(before) == LEAST_SESSIONS
+    sessions = [*followed(before, RICH), *followed(after, RICH + 50)]
+    of = problem(sessions)
+    of = of._replace(chunks=behind_gate(of.chunks, len(before)))
+    of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
+    gain = changed(next(c for c in candidates(SPOT, of.scales) if c.name == "gain on base"))
+    base, _ = optimise(of, evaluate(of, start(of), gain.twin))
+    begun = vary(base.v, gain, (-0.05,))
+    fitted, _ = optimise(of, evaluate(of, begun, (*gain.twin, *gain.groups)))
+    tried = Tried.of(gain, fitted, base)
+    assert tried.gain > 10
+    assert differs(of, tried, len(before)) == change

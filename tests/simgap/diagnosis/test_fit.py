@@ -19,6 +19,7 @@ from simgap.diagnosis.fit import (
     directions,
     evaluate,
     fit_noise,
+    hold,
     log_density,
     nuisance_columns,
     optimise,
@@ -95,8 +96,8 @@ def test_every_step_of_the_fit_is_an_improvement() -> None:
     of = problem(training)
     of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
     begun = evaluate(of, start(of), ())
-    nuisance = nuisance_columns(of, begun.v)
-    logliks = [begun.loglik, *(refine(of, begun, nuisance, steps).loglik for steps in (1, 3))]
+    held = hold(begun, nuisance_columns(of, begun.v))
+    logliks = [begun.loglik, *(refine(of, begun, held, steps).loglik for steps in (1, 3))]
     logliks.append(optimise(of, begun)[0].loglik)
     assert logliks == sorted(logliks)
     assert logliks[-1] > logliks[0] + 50

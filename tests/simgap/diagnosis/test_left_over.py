@@ -9,6 +9,8 @@ from small import problem, sessions
 
 from simgap.diagnosis.fit import Fit, Noise, Problem, fit_noise, log_density, start
 from simgap.diagnosis.left_over import left_over, named_share
+from simgap.diagnosis.since import left_since
+from simgap.diagnosis.when import rows_of
 
 quick = settings(max_examples=10, deadline=None)
 
@@ -50,6 +52,21 @@ def test_of_a_drift_theory_says_how_much(of: Problem, memory: float) -> None:
     assert left.share[4] == pytest.approx(memory**2, abs=0.12)
     assert left.nats[4] == pytest.approx(-n / 2 * np.log(1 - left.share[4]))
     np.testing.assert_allclose(np.corrcoef(left.foretold[1:, 4], e[:-1, 4])[0, 1], 1, atol=0.1)
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_a_drift_that_was_there_before_is_nothing_new(of: Problem, before: bool) -> None:
+    n, outputs = size(of)
+    rng = np.random.default_rng(1)
+    e = rng.normal(size=(n, outputs))
+    since = rows_of(of.chunks).session >= 1
+    for t in range(1, n):
+        if since[t] or before:
+            e[t, 4] = 0.9 * e[t - 1, 4] + np.sqrt(1 - 0.9**2) * rng.normal()
+    left = left_since(of, fit(of, e), 1)
+    assert np.flatnonzero(left.nats).tolist() == ([] if before else [4])
+    if not before:
+        assert left.nats[4] == pytest.approx(-since.sum() / 2 * np.log(1 - 0.9**2), rel=0.4)
 
 
 def test_rows_that_are_late_do_not_foretell(of: Problem) -> None:

@@ -27,17 +27,18 @@ def shaken(recordings: list[Recording], output: int, hertz: float) -> list[Recor
     return out
 
 
-def told(training: list[Recording], heldout: list[Recording]) -> list[Scatter]:
-    """What is told under the true simulator, by which nothing else is missing."""
+def told(training: list[Recording], heldout: list[Recording], before: list[Recording] | None = None) -> list[Scatter]:
+    """What is told under the true simulator, by which nothing else is missing, and which a baseline has not."""
     bare = problem(training)
     v = start(bare)._replace(phi=jnp.asarray(PHI))
     of = bare._replace(whiten=whitening(evaluate(bare, v, ()).e))
-    return scatter(of, evaluate(of, v, ()), cut(heldout, 1 / RATE, least=len(of.chunks.row)))
+    rows = lambda sessions: cut(sessions, 1 / RATE, least=len(of.chunks.row))  # noqa: E731
+    return scatter(of, evaluate(of, v, ()), rows(heldout), rows(before) if before else None)
 
 
-def stepping(training: list[Recording], heldout: list[Recording]) -> list[Scatter]:
+def stepping(*sets: list[Recording]) -> list[Scatter]:
     """What is told of it, whatever else is."""
-    return [s for s in told(training, heldout) if s.id == "gait_oscillation"]
+    return [s for s in told(*sets) if s.id == "gait_oscillation"]
 
 
 @pytest.mark.parametrize(
@@ -52,6 +53,16 @@ def test_planted_stepping_is_told_with_its_frequency(output: int, name: str, her
     assert amplitude["ci95"][0] < AMPLITUDE < amplitude["ci95"][1]
     assert found.gain > 100
     assert found.heldout_gain > 10
+
+
+@pytest.mark.parametrize(("was", "hertz", "new"), [(1.0, 1.8, False), (1.0, 3.1, False), (0.4, 1.8, True)])
+def test_stepping_is_new_where_it_is_stronger_than_it_was(was: float, hertz: float, new: bool) -> None:
+    """A robot's steps are as fast as it walks."""
+    after = [shaken(s, 4, 1.8) for s in sessions({})]
+    before, _ = sessions({}, RICH)
+    shaking = [r._replace(state=r.state + was * (s.state - r.state)) for r, s in
+               zip(before, shaken(before, 4, hertz), strict=True)]  # fmt: skip
+    assert bool(stepping(*after, shaking)) == new
 
 
 @pytest.mark.parametrize("seed", range(3))
