@@ -46,11 +46,11 @@ class Bars:
         def report(step: int, metrics: dict[str, float]) -> None:
             if self._stopped.is_set():
                 raise Stopped(name)
-            rate = step / max(self._clock() - start, 1e-9)
+            pace = _pace(step, self._clock() - start)
             shown = ", ".join(f"{k.replace('_', ' ')} {v:.2f}" for k, v in metrics.items())
-            self._progress.update(bar, completed=step, rate=f"{rate:,.0f} steps/s  {shown}")
+            self._progress.update(bar, completed=step, rate=f"{pace}  {shown}")
             most = f" of at most {steps:,}" if steps else ""
-            self._say(f"{name}: step {step:,}{most}, {rate:,.0f} steps/s{shown and ', '}{shown}")
+            self._say(f"{name}: step {step:,}{most}, {pace}{shown and ', '}{shown}")
 
         try:
             yield report
@@ -68,6 +68,13 @@ class Bars:
             if always or self._clock() - self._spoke > _EVERY_S:
                 self._spoke = self._clock()
                 say(line)
+
+
+def _pace(steps: int, seconds: float) -> str:
+    """Steps a second, or seconds a step where that is slow."""
+    if steps >= seconds:
+        return f"{steps / max(seconds, 1e-9):,.0f} steps/s"
+    return f"{seconds / steps:,.0f} s a step" if steps else "no step yet"
 
 
 @contextmanager
