@@ -9,6 +9,7 @@ from simgap.diagnosis.candidates import Candidate, unit_of
 from simgap.diagnosis.fit import Fit, Problem, constant_columns, directions, weights
 from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.search import LEAST_SHARE
+from simgap.effects.effect import Constant
 
 Z95 = 1.96
 
@@ -58,18 +59,23 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
 
     They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
     difference between a law and the robot, whose constant is not known better than that from any number of rows.
+    Of a change since a baseline it is the change that is told: of a delay of 0.10 s that was 0.03 s, 0.07 s.
     """
     found, deviations = [], np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0))
     low, high = problem.augmented.bounds
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         # Where the gate is open both act: what holds everywhere and what is added there.
-        c = float(fit.v.theta[group.entries[0]]) + float(fit.v.gated[group.entries[0]])
+        before, c = float(fit.v.theta[group.entries[0]]), float(fit.v.gated[group.entries[0]])
         width = deviations * float(sd.constants[fit.groups.index(group)])
         bounds = (float(low[group.entries[0]]), float(high[group.entries[0]]))
-        physical = [
-            float(constant.physical(float(np.clip(x, *bounds)), candidate.sites[0], problem.scales))
-            for x in (c, c - width, c + width)
-        ]
+
+        def physical(x: float, constant: Constant = constant, bounds: tuple[float, float] = bounds) -> float:
+            return float(constant.physical(float(np.clip(x, *bounds)), candidate.sites[0], problem.scales))
+
+        nil = physical(0.0)
+        # A limit, which is infinite where there is none, has no change.
+        offset = nil - physical(before) if candidate.twin and not constant.shapes and np.isfinite(nil) else 0.0
+        value, *ends = (physical(before + x) + offset for x in (c, c - width, c + width))
         unit = unit_of(problem.augmented, candidate, constant)
-        found.append({"name": constant.name, "value": physical[0], "unit": unit, "ci95": sorted(physical[1:])})
+        found.append({"name": constant.name, "value": value, "unit": unit, "ci95": sorted(ends)})
     return found

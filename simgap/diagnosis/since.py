@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
-from scipy import stats
+from scipy.special import stdtrit
 
 from simgap.diagnosis.confidence import spread, told_from_nil
 from simgap.diagnosis.fit import Fit, Problem, evaluate, nuisance_columns
@@ -52,7 +52,7 @@ def _units(chunks: Chunks, baseline: int) -> _Units:
         unit = np.where(length > 0, np.arange(len(length)), -1)
     fewest = _fewest(unit, session < baseline)
     starts = np.flatnonzero(np.diff(np.repeat(unit, length), prepend=-1))
-    return _Units(starts, float(stats.t.ppf(1 - LEVEL / 2, max(fewest - 1, 1))))
+    return _Units(starts, float(stdtrit(max(fewest - 1, 1), 1 - LEVEL / 2)))
 
 
 def _fewest(unit: Int[np.ndarray, " C"], before: Bool[np.ndarray, " C"]) -> int:

@@ -10,13 +10,14 @@ from jaxtyping import Float
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from tasks.sealed.judge import ONE
 
 RIGHT, WRONG, NEITHER, GREY = "#1f5fa8", "#bf3021", "#e0b04c", "#9aa0a8"
 _SMOOTH = 9  # rows over which a failure's excess is smoothed
-_MOST = 8.0  # variances at which its colours end
+_MOST = 8.0  # variances at which its colours end at least
 
 
 def power(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
@@ -92,8 +93,10 @@ def failure(
     sessions, rows, _ = white.shape
     smooth = np.apply_along_axis(lambda a: np.convolve(a, np.ones(_SMOOTH) / _SMOOTH, "same"), 1, white**2)
     figure, ax = plt.subplots(figsize=(9.0, 2.9), layout="constrained")
-    image = ax.imshow(smooth.reshape(sessions * rows, -1).T, aspect="auto", cmap="magma_r", vmin=0, vmax=_MOST,
-                      interpolation="nearest")  # fmt: skip
+    # What a plain robot leaves of a real one is hundreds of variances.
+    most = max(_MOST, float(np.quantile(smooth, 0.98)))
+    image = ax.imshow(smooth.reshape(sessions * rows, -1).T, aspect="auto", cmap="magma_r",
+                      norm=LogNorm(1.0, most, clip=True), interpolation="nearest")  # fmt: skip
     for s in range(1, sessions):
         ax.axvline(s * rows, color="white", lw=1.5)
     if where is not None:

@@ -7,6 +7,7 @@ from small import RICH, ROWS, acting, problem
 
 from simgap.diagnosis import explain as explanation
 from simgap.diagnosis.candidates import candidates, changed
+from simgap.diagnosis.confidence import constants
 from simgap.diagnosis.explain import Explanation
 from simgap.diagnosis.fit import evaluate, optimise, start, whitening
 from simgap.diagnosis.screen import vary
@@ -31,6 +32,15 @@ def test_what_came_since_is_named_and_what_was_there_before_is_not() -> None:
     found = since(SAG, BOTH)
     assert [m.candidate.effect.id for m in found.members] == ["delay"]
     assert found.names(found.members[0])
+
+
+def test_of_a_change_the_change_is_told() -> None:
+    found = since(acting("delay", (0.6,), (0, 1, 2)), BOTH | acting("gravity_sag", (0.0,)))
+    (member,) = found.members
+    (told,) = constants(found.problem, found.fit, member.candidate, found.sd, member.gain)
+    assert told["unit"] == "s"
+    assert told["value"] == pytest.approx(0.8 / 15, rel=0.1)
+    assert told["ci95"][0] < 0.8 / 15 < told["ci95"][1]
 
 
 def test_where_nothing_changed_nothing_is_claimed() -> None:
