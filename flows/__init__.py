@@ -16,8 +16,9 @@ _DEFAULTS = {
     "PREFECT_LOGGING_LEVEL": "WARNING",
     # That its server is gone is told by a warning; this would tell it again for every event, with all that is in it.
     "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
-    # What takes a second and more to compile is compiled once for all processes.
+    # All is compiled once for all processes, what takes less than a second too: there are dozens of these in each.
     "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     # DVC says what is stale; Prefect caches nothing.
     "PREFECT_TASKS_DEFAULT_NO_CACHE": "true",
     # No telemetry.

@@ -1,5 +1,6 @@
 """What may be missing: every effect of the catalogue, at every site where it can act and at sites that share it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +50,12 @@ def changed(candidate: Candidate) -> Candidate:
 def gated(candidate: Candidate) -> Candidate:
     """The same hypothesis, acting only where the gate is open."""
     return candidate._replace(groups=tuple(g._replace(gated=True) for g in candidate.groups))
+
+
+def besides(throughout: Sequence[Candidate], events: Sequence[Candidate]) -> list[Candidate]:
+    """Hypotheses other than those of an event's law by another name: in one session only, a drift is a push."""
+    laws = [event.effect.law for event in events]
+    return [c for c in throughout if c.effect.law not in laws]
 
 
 def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:

@@ -1,12 +1,13 @@
 """How sure the fitted constants are: a covariance that does not trust the noise to be independent."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis.candidates import Candidate, unit_of
-from simgap.diagnosis.fit import Fit, Problem, constant_columns, directions, weights
+from simgap.diagnosis.fit import Fit, Group, Problem, constant_columns, directions, weights
 from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.search import LEAST_SHARE
 from simgap.effects.effect import Constant
@@ -62,16 +63,11 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
     Of a change since a baseline it is the change that is told: of a delay of 0.10 s that was 0.03 s, 0.07 s.
     """
     found, deviations = [], np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0))
-    low, high = problem.augmented.bounds
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         # Where the gate is open both act: what holds everywhere and what is added there.
         before, c = float(fit.v.theta[group.entries[0]]), float(fit.v.gated[group.entries[0]])
         width = deviations * float(sd.constants[fit.groups.index(group)])
-        bounds = (float(low[group.entries[0]]), float(high[group.entries[0]]))
-
-        def physical(x: float, constant: Constant = constant, bounds: tuple[float, float] = bounds) -> float:
-            return float(constant.physical(float(np.clip(x, *bounds)), candidate.sites[0], problem.scales))
-
+        physical = partial(_physical, problem, candidate.sites[0], constant, group)
         nil = physical(0.0)
         # A limit, which is infinite where there is none, has no change.
         offset = nil - physical(before) if candidate.twin and not constant.shapes and np.isfinite(nil) else 0.0
@@ -79,3 +75,9 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
         unit = unit_of(problem.augmented, candidate, constant)
         found.append({"name": constant.name, "value": value, "unit": unit, "ci95": sorted(ends)})
     return found
+
+
+def _physical(problem: Problem, site: int, constant: Constant, group: Group, internal: float) -> float:
+    """The physical value of an internal one, which is kept within its bounds."""
+    low, high = (float(bound[group.entries[0]]) for bound in problem.augmented.bounds)
+    return float(constant.physical(float(np.clip(internal, low, high)), site, problem.scales))

@@ -8,7 +8,7 @@ import numpy as np
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
 from simgap.diagnosis.screen import Screening, blocks
-from simgap.diagnosis.search import LEAST_SHARE, Found, Helps, Model, Round, Say, Tried, least, one_more, without
+from simgap.diagnosis.search import LEAST_SHARE, Found, Helps, Model, Round, Say, Tried, lacking, least, one_more
 from simgap.diagnosis.when import When
 
 RIVAL = 0.03
@@ -47,8 +47,7 @@ def defend(
     for candidate, chosen in zip(found.chosen, found.rounds, strict=False):
         say(f"{candidate.name} against its rivals, given the other effects")
         problem, fit, _ = model
-        rest = without(fit, candidate.groups)
-        reduced = Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups)))
+        reduced = lacking(model, [candidate])
         own = Tried.of(candidate, fit, reduced.fit)
         tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, own)
         rounds.append(tried)
@@ -72,8 +71,8 @@ def _rivals(candidate: Candidate, when_chosen: Screening, candidates: Sequence[C
     gains: dict[str, float] = {}
     for s in when_chosen.found:
         gains[s.candidate.name] = max(s.gain, gains.get(s.candidate.name, 0.0))
-    least = RIVAL * gains.get(candidate.name, 0.0)
-    return [c for c in candidates if c is candidate or (c.name != candidate.name and gains.get(c.name, 0.0) >= least)]
+    near = {name for name, gain in gains.items() if gain >= RIVAL * gains.get(candidate.name, 0.0)} - {candidate.name}
+    return [c for c in candidates if c is candidate or c.name in near]
 
 
 def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps) -> Tried | None:
@@ -87,8 +86,7 @@ def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -
     weak = [m for m in members if m.gain < LEAST_SHARE * gain]
     for m in weak:
         say(f"{m.candidate.name} is too weak a sign beside rows that are odd")
-        rest = without(model.fit, m.candidate.groups)
-        model = Model(model.problem, *optimise(model.problem, evaluate(model.problem, rest.v, rest.groups)))
+        model = lacking(model, [m.candidate])
     return model, tuple(m for m in members if m not in weak)
 
 

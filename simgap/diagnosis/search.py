@@ -104,6 +104,11 @@ class Round(NamedTuple):
     tried: list[Tried]
     accepted: str | None = None
 
+    @property
+    def rejected(self) -> float:
+        """What the best hypothesis gains [nats] where none was accepted."""
+        return 0.0 if self.accepted else max((t.gain for t in self.tried), default=0.0)
+
 
 class Found(NamedTuple):
     """What the forward search ends with: the models without any effect and with the chosen ones."""
@@ -136,6 +141,13 @@ def without(fit: Fit, groups: Sequence[Group]) -> Fit:
             theta = replaced(theta, group.entries, 0.0)
     rest = tuple(g for g in fit.groups if g not in groups)
     return fit._replace(v=fit.v._replace(theta=theta, gated=gated), groups=rest)
+
+
+def lacking(model: Model, effects: Sequence[Candidate]) -> Model:
+    """The model without some of its effects, fitted anew."""
+    problem, fit, _ = model
+    rest = without(fit, [group for effect in effects for group in effect.groups])
+    return Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups)))
 
 
 def least(problem: Problem, base: Fit, fit: Fit, better: Fit) -> float:

@@ -10,14 +10,12 @@ from scipy.special import stdtrit
 from simgap.diagnosis.confidence import spread, told_from_nil
 from simgap.diagnosis.fit import Fit, Problem, evaluate, nuisance_columns
 from simgap.diagnosis.innovations import Chunks, cut
+from simgap.diagnosis.judge import LEAST_SESSIONS
 from simgap.diagnosis.left_over import LeftOver, by_row, left_over
 from simgap.diagnosis.scatter import Scatter, scatter
 from simgap.diagnosis.search import LEVEL, Model, Tried
 from simgap.diagnosis.when import When, rows_of
 from simgap.types import Recording
-
-LEAST_SESSIONS = 5
-"""Sessions on either side, below which runs of their rows stand for sessions."""
 
 
 def behind_gate(chunks: Chunks, baseline: int) -> Chunks:
@@ -98,5 +96,5 @@ def scatter_since(
 
 
 def acted_before(when: When | None, baseline: int) -> bool:
-    """Whether something acts in a session of the baseline only."""
+    """Whether something acts in one session, and that is the baseline's."""
     return when is not None and when.session is not None and when.session < baseline

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simgap.diagnosis.candidates import Candidate, gated
+from simgap.diagnosis.candidates import Candidate, besides, gated
 from simgap.diagnosis.fit import Fit, evaluate, hold, optimise, refine, trials
 from simgap.diagnosis.rivals import Member, member
 from simgap.diagnosis.screen import Evidence, Screening, Weighed, blocks, by_chance, vary, weigh
@@ -13,6 +13,7 @@ from simgap.diagnosis.when import (
     LASTING,
     PUSH,
     When,
+    at_start,
     elsewhere,
     gate,
     onset,
@@ -101,6 +102,10 @@ def pushed(
         with_it = trials(problem, [vary(fit.v, event, event.starts[0])])[0]
         score, power = scores(fit, fit.e, with_it)
         when, gain = stretch(rows, score, power, PUSH)
+        while gain > 0 and at_start(rows, when):
+            # What a robot remembers of the time before its session looks like a push, and is not known.
+            score = elsewhere(rows, when, score)
+            when, gain = stretch(rows, score, power, PUSH)
         tried.append((gain, event, when, score, power))
     if not tried or any(m.when for m in members):
         return model, members
@@ -117,7 +122,8 @@ def pushed(
     after = Model(there.problem, *optimise(there.problem, begun))
     push = Tried.of(candidate, after.fit, fit)
     say(f"{event.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
-    alike = [push, *one_more(there, [gated(c) for c in throughout], rng, say).tried]
+    others = [gated(c) for c in besides(throughout, events)]
+    alike = [push, *one_more(there, others, rng, say).tried]
     if len(alike) > 1 and alike[1].gain > CLEARLY * push.gain + OWED:
         say(f"{alike[1].candidate.name} explains that stretch better ({alike[1].gain - push.gain:+.1f} nats)")
         alike[:2] = alike[1], push

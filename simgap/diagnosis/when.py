@@ -129,6 +129,12 @@ def elsewhere(rows: Rows, when: When, score: Float[np.ndarray, " n"]) -> Float[n
     return np.where(inside, 0.0, score)
 
 
+def at_start(rows: Rows, when: When) -> bool:
+    """Whether a stretch begins in the first `PUSH` rows of its session."""
+    time_s = np.sort(rows.time_s[rows.session == when.session])
+    return when.from_s <= time_s[min(PUSH, len(time_s)) - 1]
+
+
 def _sessions(rows: Rows) -> list[np.ndarray]:
     return [np.flatnonzero(rows.session == s) for s in np.unique(rows.session)]
 

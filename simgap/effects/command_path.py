@@ -132,6 +132,7 @@ def _fractions(*fractions: float):
 
 
 def _reciprocals(*fractions: float):
+    """Of fractions of the channel's usual command; beyond it too, where few rows feel a limit, but strongly."""
     return lambda scales, site: [[1 / max(f * float(scales.command[site]), 1e-6)] for f in fractions]
 
 
@@ -192,14 +193,16 @@ EFFECTS = (
     ),
     Effect(
         "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0),), channel_sites,
-        _reciprocals(0.95, 0.8, 0.6, 0.35), _saturation, "saturation: commands beyond {limit} have no further effect",
-        tie="same_unit",
+        _reciprocals(2.2, 1.7, 1.3, 0.95, 0.8, 0.6, 0.35), _saturation,
+        "saturation: commands beyond {limit} have no further effect", tie="same_unit",
     ),
     Effect(
         "rate_limit", "filter",
         (Constant("limit", "{u}/s", lambda c, site, scales: 1 / (c * scales.time_step) if c else np.inf, 0.0),),
         channel_sites,
-        lambda scales, site: [[1 / max(f * float(scales.command_step[site]), 1e-6)] for f in (0.9, 0.6, 0.35, 0.15)],
+        lambda scales, site: [
+            [1 / max(f * float(scales.command_step[site]), 1e-6)] for f in (16, 10, 6, 3.5, 2.0, 1.2, 0.7, 0.4, 0.2)
+        ],
         _rate_limit, "commands are followed no faster than {limit}", tie="same_unit",
     ),
     Effect(

@@ -128,6 +128,10 @@ EFFECTS = (
     ),
     Effect(
         "external_push", "push", (Constant("velocity", "{u}"),), axis_sites, _fraction_of_command(0.2), _external,
-        "a disturbance from outside pushes by {velocity}", event=True,
+        "a disturbance from outside pushes by {velocity} along the world's axis", event=True, form="world_frame",
+    ),
+    Effect(
+        "external_push", "push", (Constant("velocity", "{u}"),), axis_sites, _fraction_of_command(0.2), _bias,
+        "a disturbance from outside pushes by {velocity} along the robot's own axis", event=True, form="own_frame",
     ),
 )  # fmt: skip

@@ -7,6 +7,8 @@ from jaxtyping import Array, Float
 from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, floored, reaching
 from simgap.layout import Layout, X, Y, Z, commanded, on_body, substituted
 
+FURTHER = (0.15, 0.3, 0.5, 0.75)
+"""Shares of the way from what is usual to the extreme at which a limit that few rows reach may stand."""
 SOFT = 0.02
 """Share of the reach over which commands fade at the limit, for a law with a slope."""
 
@@ -27,7 +29,10 @@ def _outward(axes: int):
 
 
 def _reaches(scales: Scales, site: int) -> list[list[float]]:
-    return [[1 / max(float(scales.reach[site, q]), 1e-3)] for q in (19, 18, 16, 13, 9)]
+    """At quantiles, and between the last of them and the furthest recorded, where few rows are."""
+    within = [float(scales.reach[site, q]) for q in (9, 13, 16, 18, 19)]
+    beyond = float(scales.reach[site, 20]) - within[-1]
+    return [[1 / max(reach, 1e-3)] for reach in (*within, *(within[-1] + share * beyond for share in FURTHER))]
 
 
 def _contact(
@@ -46,7 +51,8 @@ def _contact(
 
 def _heights(scales: Scales, site: int) -> list[list[float]]:
     above = scales.height[site] - scales.height[site, 0]
-    return [[max(float(c), 1e-4)] for c in (0.3 * above[1], 0.6 * above[1], above[1], above[3], above[6])]
+    lowest = [share * above[1] for share in (0.03, 0.1, 0.3, 0.6, 1.0)]
+    return [[max(float(c), 1e-4)] for c in (*lowest, above[3], above[6])]
 
 
 def _floored_sites(layout: Layout) -> tuple[Site, ...]:

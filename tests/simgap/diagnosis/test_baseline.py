@@ -10,9 +10,10 @@ from simgap.diagnosis.candidates import candidates, changed
 from simgap.diagnosis.confidence import constants
 from simgap.diagnosis.explain import Explanation
 from simgap.diagnosis.fit import evaluate, optimise, start, whitening
+from simgap.diagnosis.judge import LEAST_SESSIONS
 from simgap.diagnosis.screen import vary
 from simgap.diagnosis.search import Tried
-from simgap.diagnosis.since import LEAST_SESSIONS, behind_gate, differs
+from simgap.diagnosis.since import behind_gate, differs
 from simgap.types import Recording
 
 SAG = acting("gravity_sag", (0.06,))
@@ -41,6 +42,20 @@ def test_of_a_change_the_change_is_told() -> None:
     assert told["unit"] == "s"
     assert told["value"] == pytest.approx(0.8 / 15, rel=0.1)
     assert told["ci95"][0] < 0.8 / 15 < told["ci95"][1]
+
+
+def test_a_push_since_is_told_as_such() -> None:
+    """Though a drift in all sessions since would explain it in part."""
+    push = acting("external_push.own_frame", (0.4,), (1,))
+    old, held = recordings({}, RICH, 1, ROWS), recordings({}, RICH + 2, 1, ROWS)
+    new = recordings({}, RICH + 1, 2, ROWS, during=push, from_s=5.0, to_s=7.0, only=1)
+    old, held = ([r._replace(name=name) for r in some] for name, some in (("before", old), ("held out", held)))
+    found = explanation.explain(SPOT.simulator, new, held, old, np.random.default_rng(0), print)
+    (member,) = found.members
+    assert member.candidate.effect.id == "external_push"
+    assert member.when is not None
+    assert member.when.from_s == pytest.approx(5.0, abs=0.3)
+    assert member.when.to_s == pytest.approx(7.0, abs=0.3)
 
 
 def test_where_nothing_changed_nothing_is_claimed() -> None:

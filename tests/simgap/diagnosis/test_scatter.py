@@ -88,6 +88,20 @@ def test_scatter_that_grows_with_the_motion_is_told() -> None:
     assert found.heldout_gain > 0
 
 
+def test_of_scatter_that_grows_with_one_bodys_motion_that_body_is_told() -> None:
+    rng, own = np.random.default_rng(0), np.arange(6)
+
+    def noisy(r: Recording) -> Recording:
+        state = r.state.copy()
+        speed = np.abs(r.state[:, 3:6]).mean(1, keepdims=True)
+        state[:, own] += 3 * speed * SENSOR[own] * rng.normal(size=(len(state), len(own)))
+        return r._replace(state=state)
+
+    (found,) = told(*([noisy(r) for r in part] for part in sessions({}, RICH)))
+    assert found.id == "motion_dependent_noise"
+    assert found.outputs == tuple(f.name for f in SCHEMA.state[:6])
+
+
 JITTER = 0.25
 """Standard deviation of the rows' intervals, in nominal ones."""
 

@@ -1,8 +1,12 @@
 """Where promising hypotheses are looked at more closely."""
 
+import numpy as np
+import pytest
 from planted import SCALES, SPOT
+from small import RICH, sessions
 
 from simgap.diagnosis.candidates import candidates
+from simgap.diagnosis.measure import measure
 from simgap.diagnosis.screen import Screened, closer
 
 KNOWN = candidates(SPOT, SCALES)
@@ -11,6 +15,25 @@ KNOWN = candidates(SPOT, SCALES)
 def screened(name: str, *starts: float) -> list[Screened]:
     (candidate,) = (c for c in KNOWN if c.name == name)
     return [Screened(candidate, (start,), 0, 1.0, 1.0, 1.0) for start in starts]
+
+
+@pytest.mark.parametrize("seed", [RICH, 11, 12])
+def test_limits_are_looked_for_out_to_where_few_rows_reach(seed: int) -> None:
+    """From the usual to the extreme, the next start is within a factor of two, which closer looks bridge."""
+    training, _ = sessions({}, seed)
+    scales = measure(SPOT, training)
+    known = {c.name: c for c in candidates(SPOT, scales)}
+    hand = np.concatenate([r.state[:, 6:8] - r.state[:, :2] for r in training])
+    extremes = [("reach_limit.horizontal on ee", float(np.median(scales.reach)), np.hypot(*hand.T).max())]
+    for k, field in enumerate(SPOT.simulator.schema.command):
+        sent = np.abs(np.concatenate([r.command[:, k] for r in training])).max()
+        step = max(np.abs(np.diff(r.command[:, k])).max() for r in training)
+        extremes.append((f"saturation on {field.name}", scales.command[k], sent))
+        extremes.append((f"rate_limit on {field.name}", scales.command_step[k], step))
+    for name, usual, extreme in extremes:
+        starts = np.array([1 / start for (start,) in known[name].starts])
+        for limit in np.geomspace(usual, 0.98 * extreme, 20):
+            assert np.abs(np.log(starts / limit)).min() < np.log(2), (name, limit)
 
 
 def test_a_law_that_is_no_multiple_of_its_constant_is_looked_at_between_its_starts() -> None:

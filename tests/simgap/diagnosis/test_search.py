@@ -63,7 +63,8 @@ CASES = [
 ]
 UNSEEN = {
     "sampling_interval.stamped": "rows are evenly spaced here",
-    "external_push": "it acts for a while only: see below",
+    "external_push.world_frame": "it acts for a while only: see below",
+    "external_push.own_frame": "as well",
 }
 
 
@@ -152,12 +153,15 @@ def test_two_effects_are_found_together() -> None:
     assert all(m.odds[m.candidate.effect.id] > 0.9 for m in found.members)
 
 
-def test_a_push_during_a_stretch_is_found_with_its_time() -> None:
-    pushed = acting("external_push", (0.25,), (1,))
+@pytest.mark.parametrize("frame", ["world_frame", "own_frame"])
+def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
+    """And no drift in the robot's own frame, which is the same law but acts all the time."""
+    pushed = acting(f"external_push.{frame}", (0.25,), (1,))
     found = explain(*sessions({}, RICH, during=pushed, from_s=6.0, to_s=8.0, only=1))
     (member,) = found.members
-    assert member.candidate.effect.id == "external_push"
+    assert member.candidate.effect.key == f"external_push.{frame}"
     assert member.candidate.sites == (1,)
+    assert member.odds["external_push"] > 0.9
     assert member.when is not None
     assert member.when.session == 1
     assert member.when.from_s == pytest.approx(6.0, abs=0.3)
