@@ -46,13 +46,14 @@ def truth(constants: dict) -> Variables:
 
 
 def everywhere(key: str) -> dict:
-    """An effect at all its sites, at its first start."""
+    """An effect at all its sites, at the middle of its starts: the first and last may be hardly felt."""
     sites = SPOT.sites[[e.key for e in CATALOGUE].index(key)]
     if key.startswith("payload"):
         return acting(key, (0.2, 0.05, 5.0))
     constants: dict = {}
     for s in range(len(sites)):
-        constants |= acting(key, tuple(KEYS[key].starts(SCALES, s)[0]), (s,))
+        starts = KEYS[key].starts(SCALES, s)
+        constants |= acting(key, tuple(starts[len(starts) // 2]), (s,))
     return constants
 
 
