@@ -13,7 +13,7 @@ from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import Scatter, scatter
-from simgap.diagnosis.search import LEAST_SHARE, Round, Say, Tried, lacking, search, without
+from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed
 from simgap.diagnosis.when import When, gate
@@ -108,7 +108,8 @@ def explain(
     searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
     model, members, rounds = defend(searched, hypotheses, helps, rng, say)
     changes = bool(baseline and members)  # beside which nothing else is looked for
-    odd = 0.0 if changes else sum(s.gain for s in scatter(model.problem, model.fit, unseen) if s.rare)
+    scattered = [] if changes else scatter(model.problem, model.fit, unseen)
+    looked_at, odd = model.fit, sum(s.gain for s in scattered if s.rare)
     if not baseline:  # which has odd rows as well, that would make up as much
         model, members = outshone(model, members, odd, say)
     when = None if baseline else acts_when(model, members, say)
@@ -123,23 +124,33 @@ def explain(
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)
         members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
+
+    def bare() -> Model:
+        """The model without its effects."""
+        if baseline:
+            return lacking(model, [m.candidate for m in members])
+        return lacking(model._replace(fit=searched.base), [])
+
+    base = bare() if changes else None
     if not odd:
         # Odd rows look like pushes, one by one. And changes may be made up of one push.
-        alone = lacking(model, [m.candidate for m in members]) if changes else model
-        with_push, those = pushed(alone, () if changes else members, events, throughout, rng, say)
-        better = with_push.fit.loglik > model.fit.loglik or not changes
-        if better and not any(acted_before(m.when, len(baseline)) for m in those):
+        with_push, those = pushed(base or model, () if changes else members, events, throughout, rng, say)
+        pays = not changes or with_push.fit.loglik > model.fit.loglik
+        if pays and not any(acted_before(m.when, len(baseline)) for m in those):
+            base = base if with_push is model else None
             model, members = with_push, those
     when = next((m.when for m in members if m.when), None)
     unseen = seen_at(unseen, when)
     say("looking at the scatter that is left")
-    scattered = scatter_since(model, training, baseline, unseen) if baseline else scatter(*model[:2], unseen)
+    if baseline:
+        scattered = scatter_since(model, training, baseline, unseen)
+    elif model.fit is not looked_at:
+        scattered = scatter(model.problem, model.fit, unseen)
     # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains
     # them better, though it may not hold in all sessions.
-    owed, better = LEAST_SHARE * sum(m.gain for m in members), searched.rounds[-1].rejected
-    scattered = [s for s in scattered if s.gain > (max(owed, better) if s.rare else owed)]
-    base = model if baseline else model._replace(fit=searched.base)
-    base = lacking(base, [m.candidate for m in members] if baseline else [])
+    owed, rejected = LEAST_SHARE * sum(m.gain for m in members), searched.rounds[-1].rejected
+    scattered = [s for s in scattered if s.gain > (max(owed, rejected) if s.rare else owed)]
+    base = base or bare()
     return Explanation(
         model.problem, as_is, base.fit, model.fit, spread(*model), members, scattered,
         leaves(model.problem, model.fit, len(baseline)), unseen, when, [*searched.rounds, *rounds], len(baseline),

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import lsq_linear
 from scipy.special import gammaln
 
 from simgap.diagnosis.innovations import Chunks, Variables, innovations_of, tangents
@@ -18,20 +19,30 @@ from simgap.effects.effect import Scales
 from simgap.types import DivergenceError
 
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
+FROM_AFAR, FROM_NEAR = 6, 3
+"""Steps to the scale of the first of these, and from each one's to the next one's."""
 BATCH = 16
 """Directions whose derivatives are computed side by side: one number, for each is compiled anew."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
+NARROW = 1e-9
+"""Added to bounds, which must not touch."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Of a Gauss-Newton step, tried one after the other, until one"""
 ENOUGH = 0.5
 """gains this share of what it should, were the model linear."""
-CONVERGED = 0.05
+CONVERGED = 0.5
 """Gain [nats] below which iterations end."""
+WORTHWHILE = 0.1
+"""Share of what the first step with some derivatives gained, below which further ones are left to derivatives anew."""
 HELD = 4
 """Steps taken with the same derivatives by phi and K."""
 RENEWALS = 6
 """How often these are renewed at most."""
+TRUST = (0.0, 1.0)
+"""Bounds of K's diagonal: the share of an innovation that a measured output is trusted with."""
+CROSS = 3.0
+"""Bound of K's other entries, in units of the time step."""
 PRIOR_PRECISION = 1.0
 """Of the simulator's parameters, in units of their ranges: a range is one standard deviation, hence hardly a prior."""
 
@@ -86,14 +97,14 @@ def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
     squared = np.maximum(e.T.astype(np.float32) ** 2, np.float32(1e-30))
     variance, found = np.maximum(np.median(squared, axis=-1) * 2, 1e-18), []
     for dof in DOFS:
-        variance, density = _fit_scale(squared, variance, float(dof))
+        variance, density = _fit_scale(squared, variance, float(dof), FROM_NEAR if found else FROM_AFAR)
         found.append((variance, density))
     best = np.array([density for _, density in found]).argmax(0)
     return Noise(np.sqrt(np.array([v for v, _ in found])[best, np.arange(e.shape[1])]), DOFS[best])
 
 
 def _fit_scale(
-    squared: Float[np.ndarray, "s n"], variance: Float[np.ndarray, " s"], dof: float
+    squared: Float[np.ndarray, "s n"], variance: Float[np.ndarray, " s"], dof: float, steps: int
 ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, " s"]]:
     """Squared scale of t noise with so many degrees of freedom, and the mean log-density with it.
 
@@ -101,7 +112,7 @@ def _fit_scale(
     mean(w x^2) = v (1 - dof mean(w)).
     """
     work = np.empty_like(squared)
-    for _ in range(6):
+    for _ in range(steps):
         np.divide(squared, variance[:, None].astype(np.float32), out=work)
         work += np.float32(dof)
         np.reciprocal(work, out=work)
@@ -133,7 +144,7 @@ def start(problem: Problem) -> Variables:
     layout = problem.augmented.layout
     sizes = (len(layout.schema.state), len(layout.akin), len(problem.augmented.slots))
     gain, cross, zero = (np.zeros(n, np.float32) for n in sizes)
-    return Variables(np.array(phi, np.float32), gain, cross, zero, zero)
+    return Variables(np.array(phi, np.float32), gain + 0.5, cross, zero, zero)
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
@@ -228,14 +239,29 @@ def _most(low: np.ndarray, entries: list[int]) -> float:
     return float(low[entries].max())
 
 
+def _room(
+    problem: Problem, v: Variables, groups: Sequence[Group]
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
+    """How far each free direction can be gone from v, down and up."""
+    low, high = problem.augmented.bounds
+    down = [np.full(len(v.phi), -np.inf), TRUST[0] - v.gain, -CROSS - v.cross]
+    up = [np.full(len(v.phi), np.inf), TRUST[1] - v.gain, CROSS - v.cross]
+    for group in groups:
+        entries = list(group.entries)
+        value = v.theta[entries[0]]
+        down.append([-np.inf if group.gated else _most(low, entries) - value])
+        up.append([np.inf if group.gated else _least(high, entries) - value])
+    return np.minimum(np.concatenate(down), 0.0), np.maximum(np.concatenate(up), 0.0)
+
+
 def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
-    """v + delta along the free directions, constants kept within their bounds."""
+    """v + delta along the free directions, which rounding leaves within the bounds."""
     free, _ = directions(problem, groups)
     moved = Variables(*(a + delta.astype(np.float32) @ b for a, b in zip(v, free, strict=True)))
     low, high = problem.augmented.bounds
     own = [i for g in groups if not g.gated for i in g.entries]
     theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
-    return moved._replace(theta=theta, gain=np.clip(moved.gain, -6, 6), cross=np.clip(moved.cross, -3, 3))
+    return moved._replace(theta=theta, gain=np.clip(moved.gain, *TRUST), cross=np.clip(moved.cross, -CROSS, CROSS))
 
 
 def replaced(values: Float[np.ndarray, " P"], entries: Sequence[int], by: Any) -> Float[np.ndarray, " P"]:
@@ -251,7 +277,7 @@ def _prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np
     middle = np.array([(p.low + p.high) / 2 for p in parameters])
     ranges = np.array([p.high - p.low or 1.0 for p in parameters])
     return np.concatenate(
-        [(np.asarray(v.phi) - middle) / ranges, np.asarray(v.gain), np.asarray(v.cross), np.zeros(len(groups))]
+        [(np.asarray(v.phi) - middle) / ranges, np.asarray(v.gain) - 0.5, np.asarray(v.cross), np.zeros(len(groups))]
     )
 
 
@@ -290,7 +316,9 @@ def gauss_newton(
     hessian = np.vstack([upper, np.hstack([by_held[:k], by_renewed[:k]])]).astype(np.float64) + np.diag(precision)
     gradient = np.concatenate([by_held[k], by_renewed[k]]).astype(np.float64) + precision * offset
     hessian += 1e-6 * np.diag(np.diag(hessian)) + 1e-9 * np.eye(len(hessian))
-    delta = -np.linalg.solve(hessian, gradient)
+    if not np.isfinite(hessian).all():
+        return fit
+    delta = lowest(hessian, gradient, *_room(problem, fit.v, fit.groups))
 
     def value(e: np.ndarray, v: Variables) -> float:
         if not np.isfinite(e).all():
@@ -298,7 +326,8 @@ def gauss_newton(
         away = _prior_offset(problem, v, fit.groups)
         return float(log_density(e, fit.noise).sum()) - 0.5 * float(precision @ away**2)
 
-    slope, now, best = -float(delta @ gradient), value(fit.e, fit.v), None
+    slope, bend = -float(delta @ gradient), float(delta @ hessian @ delta)
+    now, best = value(fit.e, fit.v), None
     for share in SHARES:
         v = _moved(problem, fit.v, fit.groups, share * delta)
         e = trials(problem, [v])[0]
@@ -307,7 +336,7 @@ def gauss_newton(
             break  # beyond the best length
         if gain > 0:
             best = gain, v, e
-        if gain > ENOUGH * slope * share * (1 - share / 2):
+        if gain > ENOUGH * (slope * share - bend * share**2 / 2):
             break
     if best is None:
         return fit
@@ -316,15 +345,30 @@ def gauss_newton(
     return Fit(v, fit.groups, e, noise, float(log_density(e, noise).sum()))
 
 
+def lowest(
+    hessian: Float[np.ndarray, "m m"],
+    gradient: Float[np.ndarray, " m"],
+    down: Float[np.ndarray, " m"],
+    up: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"]:
+    """Where g x + x H x / 2 is lowest within bounds.
+
+    Were an unbounded step cut to them afterwards, what is at no bound would have gone along with what is, for nothing.
+    """
+    root = np.linalg.cholesky(hessian)
+    return lsq_linear(root.T, -np.linalg.solve(root, gradient), (down - NARROW, up + NARROW), method="bvls").x
+
+
 def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:
     """Gauss-Newton with some derivatives held, those by phi, K and the first of the constants, the others renewed."""
     _, precision = directions(problem, fit.groups)
     renewed = fit.groups[len(held.columns) + len(fit.groups) - len(precision) :]
+    most = 0.0
     for _ in range(iterations):
         improved = gauss_newton(problem, fit, held, constant_columns(problem, fit.v, renewed), precision)
         gain = improved.loglik - fit.loglik
-        fit = improved
-        if gain < CONVERGED:
+        fit, most = improved, max(most, gain)
+        if gain < max(CONVERGED, WORTHWHILE * most):
             break
     return fit
 

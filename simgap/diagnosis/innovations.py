@@ -57,7 +57,7 @@ class Chunks(NamedTuple):
 
 
 class Variables(NamedTuple):
-    """All that can be fitted: simulator parameters phi, logits of the gain K's diagonal, its entries beside that
+    """All that can be fitted: simulator parameters phi, the gain K's diagonal, its entries beside that
     (`Layout.akin`), effects' constants, those where gated."""
 
     phi: Float[np.ndarray, " p"]
@@ -141,7 +141,7 @@ def gain_matrix(augmented: Augmented, v: Variables) -> Float[Array, "s s"]:
     rate = np.array([f.kind == "velocity" for f in layout.schema.state], float)
     i, j = np.array(layout.akin, int).reshape(-1, 2).T
     unit = augmented.simulator.time_step ** (rate[j] - rate[i])
-    return jnp.diag(jax.nn.sigmoid(v.gain)).at[i, j].set(v.cross * unit)
+    return jnp.diag(v.gain).at[i, j].set(v.cross * unit)
 
 
 def corrected(

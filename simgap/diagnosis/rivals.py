@@ -8,7 +8,19 @@ import numpy as np
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
 from simgap.diagnosis.screen import Screening, blocks
-from simgap.diagnosis.search import LEAST_SHARE, Found, Helps, Model, Round, Say, Tried, lacking, least, one_more
+from simgap.diagnosis.search import (
+    LEAST_SHARE,
+    Found,
+    Helps,
+    Model,
+    Round,
+    Say,
+    Tried,
+    lacking,
+    least,
+    one_more,
+    settled,
+)
 from simgap.diagnosis.when import When
 
 RIVAL = 0.03
@@ -47,7 +59,7 @@ def defend(
     for candidate, chosen in zip(found.chosen, found.rounds, strict=False):
         say(f"{candidate.name} against its rivals, given the other effects")
         problem, fit, _ = model
-        reduced = lacking(model, [candidate])
+        reduced = lacking(model, [candidate], settled(chosen.tried[0].gain))
         own = Tried.of(candidate, fit, reduced.fit)
         tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, own)
         rounds.append(tried)

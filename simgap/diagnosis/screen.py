@@ -34,6 +34,8 @@ FEW = 10
 DRAWS = 4000
 AT_ONCE = 1000
 """Directions whose draws are kept in memory at once."""
+DEPENDENT = 1e-6
+"""Share of the greatest, below which a direction of what the model can absorb is rounding."""
 NOTHING = 1e-4
 """Squared length of a direction [nats] that is nothing at all."""
 
@@ -129,7 +131,7 @@ def screen(
     """Test all hypotheses against the fitted model; `absorbing` are the derivatives of all that is free in it."""
     w = weights(fit.e, fit.noise).astype(np.float32)
     root = np.sqrt(w).reshape(-1)
-    basis, _ = np.linalg.qr((absorbing.reshape(len(absorbing), -1) * root).T)
+    basis = _basis(absorbing.reshape(len(absorbing), -1) * root)
     # At the optimum the residual has no part in what the model can absorb; float32 leaves a trace.
     residual = fit.e.reshape(-1) * root
     residual = residual - basis @ (basis.T @ residual)
@@ -169,6 +171,14 @@ def screen(
     best_first = np.argsort(-weighed.gain, kind="stable")
     evidence = Evidence(*(a[best_first] for a in evidence))
     return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, level, rng))
+
+
+def _basis(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:
+    """Orthonormal columns that span the rows, as long rows as these: by their products, in a tenth of QR's time."""
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.float32(1e-30))
+    values, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
+    kept = values > DEPENDENT * values[-1]
+    return rows.T @ (vectors[:, kept] / np.sqrt(values[kept])).astype(np.float32)
 
 
 def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:

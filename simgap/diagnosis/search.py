@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import (
+    CONVERGED,
     HELD,
     THREADS,
     Fit,
@@ -48,7 +49,7 @@ SHARES = tuple(np.geomspace(1, 0.02, 8))
 """Of the amplitude that the screening expects, where a fit may start."""
 SETTLED = 1.0
 SETTLED_SHARE = 0.01
-"""Nats, and share of its gain, below which what a finalist still gains decides nothing."""
+"""Nats, and share of a hypothesis' gain, that decide nothing beside it."""
 
 Say = Callable[[str], None]
 """`say(line)`: what is being tried."""
@@ -143,11 +144,16 @@ def without(fit: Fit, groups: Sequence[Group]) -> Fit:
     return fit._replace(v=fit.v._replace(theta=theta, gated=gated), groups=rest)
 
 
-def lacking(model: Model, effects: Sequence[Candidate]) -> Model:
-    """The model without some of its effects, fitted anew."""
+def lacking(model: Model, effects: Sequence[Candidate], enough: float = CONVERGED) -> Model:
+    """The model without some of its effects, fitted anew until steps gain less than `enough` [nats]."""
     problem, fit, _ = model
     rest = without(fit, [group for effect in effects for group in effect.groups])
-    return Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups)))
+    return Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups), enough))
+
+
+def settled(gain: float) -> float:
+    """Nats that decide nothing beside such a gain."""
+    return max(SETTLED, SETTLED_SHARE * gain)
 
 
 def least(problem: Problem, base: Fit, fit: Fit, better: Fit) -> float:
@@ -194,8 +200,7 @@ def _at_once(ordered: Sequence) -> list[Sequence]:
 
 
 def _to_its_end(problem: Problem, t: Tried) -> Tried:
-    enough = max(SETTLED, SETTLED_SHARE * t.gain)
-    return t.further(lambda f: optimise(problem, f, enough)[0])
+    return t.further(lambda f: optimise(problem, f, settled(t.gain))[0])
 
 
 def _promising(found: Sequence[Screened]) -> list[Screened]:

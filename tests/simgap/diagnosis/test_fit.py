@@ -21,6 +21,7 @@ from simgap.diagnosis.fit import (
     fit_noise,
     hold,
     log_density,
+    lowest,
     nuisance_columns,
     optimise,
     refine,
@@ -101,6 +102,27 @@ def test_every_step_of_the_fit_is_an_improvement() -> None:
     logliks.append(optimise(of, begun)[0].loglik)
     assert logliks == sorted(logliks)
     assert logliks[-1] > logliks[0] + 50
+
+
+def test_what_stands_at_a_bound_holds_up_nothing_else() -> None:
+    """Nor does it stay there: wherever K starts, the fit is as good in the end."""
+    training, _ = sessions({}, seed=7)
+    of = problem(training)
+    of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
+    inside = start(of)
+    outside = inside._replace(gain=np.ones(12, np.float32))
+    a, b = (optimise(of, evaluate(of, v, ()))[0].loglik for v in (inside, outside))
+    assert a == pytest.approx(b, abs=2.0)
+
+
+def test_a_step_ends_where_its_quadratic_is_lowest_within_bounds() -> None:
+    """Not where a longer one is cut: with the first at its bound, the second goes along with it no more."""
+    hessian, gradient = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([-1.0, 0.0])
+    step = lowest(hessian, gradient, np.array([-1.0, -np.inf]), np.array([0.5, np.inf]))
+    np.testing.assert_allclose(step, [0.5, -0.45], atol=1e-6)
+    np.testing.assert_allclose(
+        lowest(hessian, gradient, np.full(2, -np.inf), np.full(2, np.inf)), np.linalg.solve(hessian, -gradient)
+    )
 
 
 # Derivatives
