@@ -52,6 +52,7 @@ HELD = (1, 2, 3, 4)
 SEGMENT = 64
 """Rows of the periodograms in which stepping is looked for."""
 LEVEL = 1e-3
+NO_POWER = 1e-18
 STRONGER = 1.5
 """Times the amplitude of any in a baseline that shaking must have to be new."""
 
@@ -326,12 +327,14 @@ def _stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None)
     found = _peak(power, count)
     if found is None:
         return None
-    k, best, gain, amplitude = found
+    k, best, gain, amplitude, above = found
     if before is not None and amplitude < STRONGER * _strongest(problem._replace(chunks=before), fit, best):
         return None
     there, segments = _periodogram(problem._replace(chunks=unseen), fit)
-    level = _neighbours(there[:, best])[k] if segments else 1.0
-    held = float(there[k, best] / level - segments) if segments else 0.0
+    if not segments:
+        return None
+    ratio = there[k, best] * segments / max(_neighbours(there[:, best])[k], NO_POWER)
+    held = float(ratio * (1 - 1 / above) - segments * np.log(above))
     if held <= 0:
         return None
     field, hertz = problem.augmented.simulator.schema.state[best], k / (SEGMENT * problem.scales.time_step)
@@ -383,21 +386,25 @@ def _neighbours(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
     return np.nanmedian(values, axis=2).max(1)
 
 
-def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, float, float] | None:
-    """(frequency bin, output, gain [nats], amplitude) of the most certain peak, if it is certain."""
+def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, float, float, float] | None:
+    """(frequency bin, output, gain [nats], amplitude, times the level) of the most certain peak, if it is certain.
+
+    A segment's power is exponentially distributed: at the level around, or at so many times that level.
+    """
     if segments < 3:
         return None
     best = None
     for j in range(power.shape[1]):
         level = _neighbours(power[:, j]) / segments
-        ratio = power[:, j] / np.maximum(level, 1e-18)
+        ratio = power[:, j] / np.maximum(level, NO_POWER)
         k = 3 + int(ratio[3:-2].argmax())
         # Of a flat spectrum the ratio is Gamma distributed; the level itself is an estimate, hence half the segments.
         chance = gammaincc(segments / 2, ratio[k] / 2) * power.size
-        if chance < LEVEL and (best is None or ratio[k] > best[4]):
-            gain = ratio[k] - segments - segments * np.log(ratio[k] / segments)
-            best = (k, j, float(gain), _amplitude(power[:, j], segments, k), float(ratio[k]))
-    return best[:4] if best and best[2] > OWED else None
+        if chance < LEVEL and (best is None or ratio[k] > best[4] * segments):
+            above = float(ratio[k] / segments)
+            gain = float(segments * (above - 1 - np.log(above)))
+            best = (k, j, gain, _amplitude(power[:, j], segments, k), above)
+    return best if best and best[2] > OWED else None
 
 
 def _amplitude(power: Float[np.ndarray, " f"], segments: int, k: int) -> float:

@@ -4,6 +4,8 @@ A law of place "command" is `law(c[k, sites], u, past, row, layout) -> u`, where
 place "filter" is `law(c[k, sites], u, z) -> (z, u)`: what it remembers, and the command that acts.
 """
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -131,9 +133,9 @@ def _fractions(*fractions: float):
     return lambda scales, site: [[f * float(scales.command[site])] for f in fractions]
 
 
-def _reciprocals(*fractions: float):
-    """Of fractions of the channel's usual command; beyond it too, where few rows feel a limit, but strongly."""
-    return lambda scales, site: [[1 / max(f * float(scales.command[site]), 1e-6)] for f in fractions]
+def _reciprocals(usual: Callable[[Scales], np.ndarray], *fractions: float):
+    """Of fractions of what is usual in the channel; beyond it too, where few rows feel a limit, but strongly."""
+    return lambda scales, site: [[1 / max(f * float(usual(scales)[site]), 1e-6)] for f in fractions]
 
 
 def _fixed(*values: float):
@@ -193,16 +195,14 @@ EFFECTS = (
     ),
     Effect(
         "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0),), channel_sites,
-        _reciprocals(2.2, 1.7, 1.3, 0.95, 0.8, 0.6, 0.35), _saturation,
+        _reciprocals(lambda scales: scales.command, 2.2, 1.7, 1.3, 0.95, 0.8, 0.6, 0.35), _saturation,
         "saturation: commands beyond {limit} have no further effect", tie="same_unit",
     ),
     Effect(
         "rate_limit", "filter",
         (Constant("limit", "{u}/s", lambda c, site, scales: 1 / (c * scales.time_step) if c else np.inf, 0.0),),
         channel_sites,
-        lambda scales, site: [
-            [1 / max(f * float(scales.command_step[site]), 1e-6)] for f in (16, 10, 6, 3.5, 2.0, 1.2, 0.7, 0.4, 0.2)
-        ],
+        _reciprocals(lambda scales: scales.command_step, 16, 10, 6, 3.5, 2.0, 1.2, 0.7, 0.4, 0.2),
         _rate_limit, "commands are followed no faster than {limit}", tie="same_unit",
     ),
     Effect(

@@ -55,6 +55,16 @@ def test_planted_stepping_is_told_with_its_frequency(output: int, name: str, her
     assert found.heldout_gain > 10
 
 
+def test_weak_stepping_is_told_where_it_lasts() -> None:
+    """In a third of the amplitude, eight sessions to fit and as many held out."""
+    still = [r for seed in range(4) for part in sessions({}, seed) for r in part]
+    weak = [r._replace(state=r.state + 0.3 * (s.state - r.state))
+            for r, s in zip(still, shaken(still, 4, 1.8), strict=True)]  # fmt: skip
+    (found,) = stepping(weak[::2], weak[1::2])
+    assert found.outputs == ("base_vy",)
+    assert 0.3 * found.gain < found.heldout_gain < 3 * found.gain
+
+
 @pytest.mark.parametrize(("was", "hertz", "new"), [(1.0, 1.8, False), (1.0, 3.1, False), (0.4, 1.8, True)])
 def test_stepping_is_new_where_it_is_stronger_than_it_was(was: float, hertz: float, new: bool) -> None:
     """A robot's steps are as fast as it walks."""
