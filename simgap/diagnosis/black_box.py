@@ -44,6 +44,11 @@ def silent(layout: Layout) -> BlackBox:
     )
 
 
+def in_part(box: BlackBox, share: float) -> BlackBox:
+    """A box that adds a share of what this one adds."""
+    return box._replace(weights=share * box.weights)
+
+
 def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
     """What the black box sees; the state itself where the schema declares no bodies."""
     own = motion(layout, state)
