@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from simgap.diagnosis.innovations import Chunks, bare
-from simgap.effects.augmented import Augmented
+from simgap.diagnosis.fit import Problem, counted, raw_innovations
+from simgap.diagnosis.innovations import Chunks, Variables, bare, estimates_of
 from simgap.layout import Layout, motion, rotated
 
 COMMANDS = 4
@@ -42,11 +42,6 @@ def silent(layout: Layout) -> BlackBox:
     return BlackBox(
         jnp.zeros(d), jnp.ones(d), jnp.zeros((d, FEATURES)), jnp.zeros(FEATURES), jnp.zeros((1 + d + FEATURES, s))
     )
-
-
-def in_part(box: BlackBox, share: float) -> BlackBox:
-    """A box that adds a share of what this one adds."""
-    return box._replace(weights=share * box.weights)
 
 
 def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
@@ -92,33 +87,47 @@ def correct(
     return rotated(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state, 1.0)
 
 
-@partial(jax.jit, static_argnames="augmented")
-def _design(augmented: Augmented, chunks: Chunks, e: Float[Array, "C t s"]) -> tuple[Array, Array]:
-    """Inputs and own-frame innovations of every row of the chunks."""
-    layout = augmented.layout
+@partial(jax.jit, static_argnames="layout")
+def _inputs(layout: Layout, chunks: Chunks, x: Float[Array, "C t s"]) -> Float[Array, "C t d"]:
+    """Inputs of every row, for the estimates that their steps begin with."""
 
-    def of_chunk(chunk: Chunks, e: Array) -> tuple[Array, Array]:
+    def of_chunk(chunk: Chunks, x: Array) -> Array:
         sent = jnp.concatenate([chunk.past[::-1][-COMMANDS:], chunk.command[:-1]])
         last = jnp.stack([sent[COMMANDS - k : len(sent) - k] for k in range(COMMANDS)], axis=1)
-        z = jax.vmap(lambda s, u: inputs(layout, s, u))(chunk.state[:-1], last)
-        return z, jax.vmap(lambda v, s: rotated(layout, v, s, -1.0))(e, chunk.state[:-1])
+        return jax.vmap(lambda s, u: inputs(layout, s, u))(x, last)
 
-    return jax.vmap(of_chunk)(bare(chunks), e)
+    return jax.vmap(of_chunk)(bare(chunks), x)
 
 
-def design(augmented: Augmented, chunks: Chunks, e: Float[np.ndarray, "C t s"]) -> tuple[np.ndarray, np.ndarray]:
+def _seen(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs [n, d] of the rows that count, and the estimates [n, s] that they are of.
+
+    As in forecasts these are the filter's: what is measured holds noise, which foretells innovations too, but once.
+    """
+    chunks = problem.chunks
+    x = estimates_of(problem.augmented, problem.scales, v, chunks)
+    z = _inputs(problem.augmented.layout, chunks, x)
+    return counted(chunks, np.asarray(z)), counted(chunks, np.asarray(x))
+
+
+@partial(jax.jit, static_argnames=("layout", "sign"))
+def _turned(layout: Layout, a: Float[Array, "n s"], x: Float[Array, "n s"], sign: float) -> Float[Array, "n s"]:
+    return jax.vmap(lambda a, x: rotated(layout, a, x, sign))(a, x)
+
+
+def _design(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
     """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
-    counts = np.asarray(chunks.counts)
-    z, target = _design(augmented, chunks, jnp.asarray(e))
-    return np.asarray(z)[counts], np.asarray(target)[counts]
+    z, x = _seen(problem, v)
+    e = counted(problem.chunks, raw_innovations(problem, v))
+    return z, np.asarray(_turned(problem.augmented.layout, e, x, -1.0))
 
 
-def train(augmented: Augmented, chunks: Chunks, e: Float[np.ndarray, "C t s"], rng: np.random.Generator) -> BlackBox:
+def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
     """Ridge and kernel width by cross-validation over runs of chunks; innovations are clipped to 4 sd."""
-    z, target = design(augmented, chunks, e)
+    z, target = _design(problem, v)
     scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
     target = np.clip(target / scale, -4, 4)
-    counts = np.asarray(chunks.counts)
+    counts = np.asarray(problem.chunks.counts)
     fold = np.repeat(np.arange(len(counts)) * FOLDS // len(counts), counts.sum(1))
     std = z.std(0)
     best: tuple[float, BlackBox | None, float] = (np.inf, None, RIDGES[-1])
@@ -156,27 +165,29 @@ def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndar
     }
 
 
-def predicted(augmented: Augmented, box: BlackBox, chunks: Chunks) -> Float[Array, "C t s"]:
+def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray, "C t s"]:
     """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
-    counts = np.asarray(chunks.counts)
-    z, _ = _design(augmented, chunks, jnp.zeros((*counts.shape, box.weights.shape[1])))
-    own = jax.vmap(jax.vmap(lambda r: _features(box, r) @ box.weights))(z)
-    turn = jax.vmap(jax.vmap(lambda v, s: rotated(augmented.layout, v, s, 1.0)))
-    return jnp.where(counts[..., None], turn(own, chunks.state[:, :-1]), 0.0)
+    counts = np.asarray(problem.chunks.counts)
+    z, x = _seen(problem, v)
+    said = np.zeros((*counts.shape, x.shape[1]), np.float32)
+    said[counts] = _turned(problem.augmented.layout, _said(box, z), x, 1.0)
+    return said
 
 
-def dependence(
-    augmented: Augmented, box: BlackBox, chunks: Chunks, e: Float[np.ndarray, "C t s"], rng: np.random.Generator
-) -> list[tuple[str, float]]:
+@jax.jit
+def _said(box: BlackBox, z: Float[Array, "n d"]) -> Float[Array, "n s"]:
+    return jax.vmap(lambda r: _features(box, r))(z) @ box.weights
+
+
+def dependence(problem: Problem, v: Variables, box: BlackBox, rng: np.random.Generator) -> list[tuple[str, float]]:
     """Inputs by how much of the explained error goes when they are shuffled, greatest first: [(name, share)]."""
-    z, target = design(augmented, chunks, e)
-    predict = jax.jit(lambda z: jax.vmap(lambda r: _features(box, r))(z) @ box.weights)
+    z, target = _design(problem, v)
     scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
-    loss = lambda z: float((np.clip((target - np.asarray(predict(jnp.asarray(z)))) / scale, -4, 4) ** 2).sum())  # noqa: E731
+    loss = lambda z: float((np.clip((target - np.asarray(_said(box, z))) / scale, -4, 4) ** 2).sum())  # noqa: E731
     with_all = loss(z)
     explained = float((np.clip(target / scale, -4, 4) ** 2).sum()) - with_all
     shares = []
-    for i, name in enumerate(input_names(augmented.layout)):
+    for i, name in enumerate(input_names(problem.augmented.layout)):
         shuffled = z.copy()
         shuffled[:, i] = rng.permutation(z[:, i])
         shares.append((name, float(np.clip((loss(shuffled) - with_all) / max(explained, 1e-9), 0.0, 1.0))))

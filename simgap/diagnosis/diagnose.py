@@ -9,17 +9,12 @@ from jaxtyping import Float
 from simgap.diagnosis import black_box, experiment, judge, tell
 from simgap.diagnosis.explain import Explanation, explain, seen_at
 from simgap.diagnosis.explain import split as split
-from simgap.diagnosis.fit import raw_innovations
-from simgap.diagnosis.forecast import windows
 from simgap.diagnosis.innovations import gain_matrix
 from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.search import Say
 from simgap.diagnosis.when import gate
 from simgap.effects.effect import Scales
 from simgap.types import Recording, StepModel
-
-PARTS = (1.0, 0.5, 0.25, 0.0)
-"""Shares of what a black box adds, of which the one that foretells the fitted sessions best is judged."""
 
 
 class AugmentedModel(NamedTuple):
@@ -68,7 +63,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
     found = explain(simulator, training, heldout, baseline, rng, say)
     say("judging on held-out sessions")
-    contestants = _contestants(found, training, rng)
+    contestants = _contestants(found, rng)
     judged = _judged(found, contestants, training, heldout)
     say("looking for the experiment that would tell explanations apart")
     plan = _experiment(found, training)
@@ -79,14 +74,9 @@ def diagnose(
     return Diagnosis(statement, evidence, _model(found), commands)
 
 
-def _contestants(found: Explanation, training: Sequence[Recording], rng: np.random.Generator) -> dict[str, Contestant]:
+def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:
     problem = found.problem
-    box = black_box.train(problem.augmented, problem.chunks, raw_innovations(problem, found.base.v), rng)
-    rows = windows(training, problem.augmented.simulator.time_step, 1, judge.STRIDE)
-    if rows is not None:
-        # It was trained on innovations of a filter to which it adds nothing; what it adds, the filter feeds back.
-        parts = [Contestant(found.base.v, black_box.in_part(box, share)) for share in PARTS]
-        box = max(parts, key=lambda part: judge.one_step(problem, part, rows)).box
+    box = black_box.train(problem, found.base.v, rng)
     # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
     as_is = found.as_is.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
     models = {"as_is": Contestant(as_is), "refitted": Contestant(found.base.v)}

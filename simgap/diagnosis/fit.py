@@ -255,7 +255,7 @@ def _room(
 
 
 def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
-    """v + delta along the free directions, which rounding leaves within the bounds."""
+    """v + delta along the free directions, kept within the bounds where it is rounded."""
     free, _ = directions(problem, groups)
     moved = Variables(*(a + delta.astype(np.float32) @ b for a, b in zip(v, free, strict=True)))
     low, high = problem.augmented.bounds

@@ -44,7 +44,7 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
 def forecast(
     augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
 ) -> Float[np.ndarray, "W h s"]:
-    """Predicted measurements of the rows after each piece's run-in, never corrected again; `box` adds to every step."""
+    """Predicted measurements of the rows after each piece's run-in, to which `box` adds; nothing corrects them."""
     count = len(pieces.row)
     parts = []
     for first in range(0, count, PIECES):
@@ -109,7 +109,8 @@ def _go_on(
         added = correct(augmented.layout, box, x, sent)
         here = Row(time_s, interval)
         memory, x = advance(augmented, phi, theta, scales, memory, x, u, here, active)
-        x = x + added
+        # While measurements correct the filter it runs as it did when the box was trained on what it leaves over.
+        x = x + (1 - trust) * added
         seen = sense(augmented, theta, memory, x, here._replace(time_s=next_s), active)
         return (memory, corrected(augmented.layout, trust * K, x, wrap(augmented, y_next - seen))), seen
 

@@ -151,8 +151,11 @@ def corrected(
     return x + rotated(layout, K @ rotated(layout, e, x, -1.0), x, 1.0)
 
 
-def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks) -> Float[Array, "T-1 s"]:
-    """Innovations of one chunk (without its leading axis C)."""
+_Rows = Float[Array, "T-1 s"]
+
+
+def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks) -> tuple[_Rows, _Rows]:
+    """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations."""
     K = gain_matrix(augmented, v)
     at_start = v.theta + chunk.gate[0] * v.gated
     first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
@@ -163,9 +166,9 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, c
         y_next, u, time_s, next_s, interval, gate = now
         theta = v.theta + gate * v.gated
         phi, now = jnp.asarray(v.phi), Row(time_s, interval)
-        memory, x = advance(augmented, phi, theta, scales, memory, x, u, now, active)
-        e = wrap(augmented, y_next - sense(augmented, theta, memory, x, now._replace(time_s=next_s), active))
-        return (memory, corrected(augmented.layout, K, x, e)), e
+        memory, foretold = advance(augmented, phi, theta, scales, memory, x, u, now, active)
+        e = wrap(augmented, y_next - sense(augmented, theta, memory, foretold, now._replace(time_s=next_s), active))
+        return (memory, corrected(augmented.layout, K, foretold, e)), (x, e)
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
     rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1])
@@ -173,7 +176,7 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, c
 
 
 def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunks: Chunks) -> Float[Array, "C T-1 s"]:
-    e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
+    _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
     return jnp.where(chunks.counts[..., None], e, 0.0)
 
 
@@ -181,6 +184,13 @@ def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chu
 def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
     """Innovations in the outputs' units, zero in rows that do not count."""
     return _all(augmented, scales, v, augmented.active(v.theta, v.gated), chunks)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def estimates_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """The estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
+    active = augmented.active(v.theta, v.gated)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[0])(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")

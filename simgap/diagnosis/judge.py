@@ -62,12 +62,6 @@ def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chu
     return _scored(problem, unseen, noise), _scored(problem, missed, noise)
 
 
-def one_step(problem: Problem, contestant: Contestant, pieces: Chunks) -> float:
-    """Log-likelihood of one step [nats] on pieces that its noise is fitted to; minus infinity where it explodes."""
-    e = _missed(problem, contestant, pieces).error[:, 0] @ problem.whiten.T
-    return float(log_density(e, fit_noise(e)).sum()) if np.isfinite(e).all() else -np.inf
-
-
 def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
     """What forecasts miss; their likelihood is still open."""
     predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)

@@ -174,7 +174,7 @@ def screen(
 
 
 def _basis(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:
-    """Orthonormal columns that span the rows, as long rows as these: by their products, in a tenth of QR's time."""
+    """Orthonormal columns that span the rows, from the rows' products: of few long rows, in a tenth of QR's time."""
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.float32(1e-30))
     values, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
     kept = values > DEPENDENT * values[-1]

@@ -149,7 +149,7 @@ def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str
         return locate.excess(problem.augmented, chunks, base, fitted)
     box = contestants["black_box"].box
     assert box is not None  # the black box is one
-    predicted = np.asarray(black_box.predicted(problem.augmented, box, chunks))
+    predicted = black_box.predicted(problem, found.base.v, box)
     counts = np.asarray(chunks.counts)
     left = left_over(problem, evaluate(problem, found.fit.v, (), found.fit.noise))
     foretold = np.zeros_like(fitted)
@@ -189,8 +189,7 @@ def _depends_on(
     """What the nameless depends on, each with its share: the inputs of a black box that explains it, its own past."""
     problem, depends = found.problem, [("its own past", float(left.share.max()))]
     if box is not None:
-        raw = raw_innovations(problem, found.base.v)
-        depends += black_box.dependence(problem.augmented, box, problem.chunks, raw, rng)[:3]
+        depends += black_box.dependence(problem, found.base.v, box, rng)[:3]
     return [{"input": i, "share": s} for i, s in sorted(depends, key=lambda d: -d[1]) if s > 0]
 
 

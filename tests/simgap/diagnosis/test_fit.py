@@ -104,8 +104,7 @@ def test_every_step_of_the_fit_is_an_improvement() -> None:
     assert logliks[-1] > logliks[0] + 50
 
 
-def test_what_stands_at_a_bound_holds_up_nothing_else() -> None:
-    """Nor does it stay there: wherever K starts, the fit is as good in the end."""
+def test_wherever_the_gain_starts_the_fit_is_as_good_in_the_end() -> None:
     training, _ = sessions({}, seed=7)
     of = problem(training)
     of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))

@@ -1,0 +1,44 @@
+"""What a black box adds enters forecasts, not the filter that they begin with, and is what it was trained to add."""
+
+import jax.numpy as jnp
+import numpy as np
+from planted import PHI
+from small import problem, sessions
+
+from simgap.diagnosis import black_box
+from simgap.diagnosis.fit import start
+from simgap.diagnosis.forecast import forecast, windows
+from simgap.diagnosis.innovations import RUN_IN
+
+HEIGHT = 8
+"""Of the hand, which no frame turns."""
+
+
+def test_a_black_box_adds_to_what_is_foretold_from_the_filters_own_estimate() -> None:
+    training, _ = sessions({})
+    of = problem(training)
+    v = start(of)._replace(phi=jnp.asarray(PHI))
+    pieces = windows(training, 1 / 15, 3, 20)
+    assert pieces is not None
+    silent = black_box.silent(of.augmented.layout)
+    lifting = silent._replace(weights=silent.weights.at[0, HEIGHT].set(0.01))
+    without, with_it = (forecast(of.augmented, of.scales, v, pieces, box) for box in (silent, lifting))
+    added = with_it - without
+    np.testing.assert_allclose(added[:, :, HEIGHT], np.tile([0.01, 0.02, 0.03], (len(added), 1)), atol=1e-5)
+    np.testing.assert_allclose(np.delete(added, HEIGHT, axis=2), 0, atol=1e-5)
+
+
+def test_a_black_box_says_of_an_innovation_what_it_adds_to_the_forecast_of_that_row() -> None:
+    """It is trained on what it sees in forecasts: not on measured states, whose noise foretells innovations too."""
+    training, _ = sessions({}, noise=3.0)
+    of = problem(training)
+    v = start(of)._replace(phi=jnp.asarray(PHI))
+    box = black_box.train(of, v, np.random.default_rng(0))
+    pieces = windows(training, 1 / 15, 1, 10**6)  # the first rows of each session, with which its first chunk begins
+    assert pieces is not None
+    silent = black_box.silent(of.augmented.layout)
+    without, with_it = (forecast(of.augmented, of.scales, v, pieces, b)[:, 0] for b in (silent, box))
+    firsts = np.unique(of.chunks.session, return_index=True)[1]
+    said = black_box.predicted(of, v, box)[firsts, RUN_IN]
+    assert np.abs(said).max() > 1e-3
+    np.testing.assert_allclose(with_it - without, said, atol=1e-5)
