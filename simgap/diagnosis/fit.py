@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 from scipy.special import gammaln
 
-from simgap.diagnosis.innovations import Chunks, Variables, innovations_of, tangents
+from simgap.diagnosis.innovations import Chunks, Variables, alone, innovations_of, tangents
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.types import DivergenceError
@@ -197,6 +197,12 @@ def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n 
     One by one: what a value's laws cost is paid for that value alone, and nothing is gained side by side.
     """
     return np.stack(side_by_side(lambda v: _decorrelated(problem, raw_innovations(problem, v)), vs))
+
+
+def row_trials(problem: Problem, v: Variables, thetas: Sequence[Float[np.ndarray, " P"]]) -> Float[np.ndarray, "M n s"]:
+    """Decorrelated innovations of every row, had its step alone been taken with other constants of the effects."""
+    one = lambda theta: alone(problem.augmented, problem.scales, v, theta, problem.chunks)  # noqa: E731
+    return np.stack(side_by_side(lambda theta: _decorrelated(problem, one(theta)), thetas))
 
 
 def _decorrelated(problem: Problem, raw: Any) -> Float[np.ndarray, "... n s"]:

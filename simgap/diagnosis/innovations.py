@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from simgap.effects.augmented import Active, Augmented, advance, remember, sense, unsense
-from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.effects.augmented import Active, Augmented, Theta, advance, remember, sense, unsense
+from simgap.effects.effect import HISTORY_ROWS, Memory, Row, Scales
 from simgap.layout import Layout, rotated, wrapped
 from simgap.types import Recording
 
@@ -154,9 +154,14 @@ def corrected(
 _Rows = Float[Array, "T-1 s"]
 
 
-def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks) -> tuple[_Rows, _Rows]:
-    """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations."""
-    K = gain_matrix(augmented, v)
+def _chunk(
+    augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, alone: Theta | None = None
+) -> tuple[_Rows, _Rows]:
+    """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations.
+
+    With `alone`, each innovation is what it would be, had that step alone been taken with these constants.
+    """
+    K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
     at_start = v.theta + chunk.gate[0] * v.gated
     first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
     memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
@@ -164,11 +169,16 @@ def _chunk(augmented: Augmented, scales: Scales, v: Variables, active: Active, c
     def row(carry, now):
         memory, x = carry
         y_next, u, time_s, next_s, interval, gate = now
-        theta = v.theta + gate * v.gated
-        phi, now = jnp.asarray(v.phi), Row(time_s, interval)
-        memory, foretold = advance(augmented, phi, theta, scales, memory, x, u, now, active)
-        e = wrap(augmented, y_next - sense(augmented, theta, memory, foretold, now._replace(time_s=next_s), active))
-        return (memory, corrected(augmented.layout, K, foretold, e)), (x, e)
+
+        def step(theta: Theta) -> tuple[Memory, Float[Array, " s"], Float[Array, " s"]]:
+            here, theta = Row(time_s, interval), theta + gate * v.gated
+            after, foretold = advance(augmented, phi, theta, scales, memory, x, u, here, active)
+            seen = sense(augmented, theta, after, foretold, here._replace(time_s=next_s), active)
+            return after, foretold, wrap(augmented, y_next - seen)
+
+        after, foretold, e = step(v.theta)
+        told = e if alone is None else step(alone)[2]
+        return (after, corrected(augmented.layout, K, foretold, e)), (x, told)
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
     rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1])
@@ -191,6 +201,13 @@ def estimates_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chu
     """The estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
     active = augmented.active(v.theta, v.gated)
     return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[0])(bare(chunks))
+
+
+@partial(jax.jit, static_argnames="augmented")
+def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """What each innovation would be, had its step alone been taken with other constants than those before it."""
+    active = augmented.active(v.theta, v.gated, theta)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")

@@ -22,14 +22,14 @@ from simgap.diagnosis.fit import (
     log_density,
     raw_innovations,
     replaced,
-    trials,
+    row_trials,
 )
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.when import rows_of
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Slot
-from simgap.layout import motion
+from simgap.layout import Layout, motion
 
 OWED = 10.0
 """Least gain [nats]; these hypotheses have two or three constants each."""
@@ -75,13 +75,14 @@ class Scatter(NamedTuple):
 class _Sample(NamedTuple):
     """One set of sessions under the model of the mean: decorrelated innovations, and what the hypotheses need.
 
-    moving: how fast the robot, and each of its bodies, goes at that, 1 at the usual speed.
+    moving: how fast the robot, and each of its bodies, goes at that, 1 at the usual speed. held: innovations of every
+    row, had an earlier command acted there, for each of the channels' `_subsystems`.
     """
 
     e: Float[np.ndarray, "n s"]
     moving: Float[np.ndarray, "n 1+b"]
     advance: Float[np.ndarray, "n s"]
-    held: list[Float[np.ndarray, "n s"]]
+    held: list[Float[np.ndarray, "k n s"]]
     starts: np.ndarray
 
 
@@ -118,13 +119,14 @@ def _sample(problem: Problem, fit: Fit) -> _Sample:
     moving = np.sqrt(np.column_stack([whole, each]))
     integrates = layout.integrates
     rate = np.where(integrates >= 0, state[:, np.maximum(integrates, 0)], 0.0) * scales.interval
-    keys = [effect.key for effect in CATALOGUE]
-    delays = [problem.augmented.index[Slot(keys.index("delay"), 0, s)] for s in range(len(layout.schema.command))]
-    later = [fit.v._replace(theta=replaced(fit.v.theta, delays, fit.v.theta[delays] + k)) for k in HELD]
-    held = trials(problem, later)
+    keys, theta = [effect.key for effect in CATALOGUE], fit.v.theta
+    held = []
+    for channels in _subsystems(layout):
+        delays = [problem.augmented.index[Slot(keys.index("delay"), 0, s)] for s in channels]
+        held.append(row_trials(problem, fit.v, [replaced(theta, delays, theta[delays] + k) for k in HELD]))
     e = evaluate(problem, fit.v, fit.groups, fit.noise).e
     usual = np.quantile(moving, 0.95, axis=0) if len(moving) else np.ones(moving.shape[1])
-    return _Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, list(held), blocks(counts))
+    return _Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, held, blocks(counts))
 
 
 def _density(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, " n"]:
@@ -297,9 +299,25 @@ def _integrated(problem: Problem) -> tuple[str, ...]:
     return tuple(f.name for f, v in zip(fields, augmented.layout.integrates, strict=True) if v >= 0)
 
 
+def _subsystems(layout: Layout) -> list[list[int]]:
+    """Channels that may lose their commands together: all, or those of one body."""
+    fields = layout.schema.command
+    of_bodies = [[i for i, f in enumerate(fields) if f.body == body] for body in layout.bodies]
+    every = list(range(len(fields)))
+    return [every, *(channels for channels in of_bodies if channels and channels != every)]
+
+
 def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
-    """Rows in which an earlier command acts instead of the one sent."""
-    several = lambda s: [s.e, *s.held]  # noqa: E731
+    """Rows in which an earlier command acts instead of the one sent: of the subsystems, the one that gains most."""
+    subsystems = _subsystems(problem.augmented.layout)
+    found = [_held(problem, noise, training, heldout, i, channels) for i, channels in enumerate(subsystems)]
+    return max((f for f in found if f is not None), key=lambda s: s.gain, default=None)
+
+
+def _held(
+    problem: Problem, noise: Noise, training: _Sample, heldout: _Sample, i: int, channels: list[int]
+) -> Scatter | None:
+    several = lambda s: [s.e, *s.held[i]]  # noqa: E731
     mixture = _mix(several(training), noise)
     minutes = len(training.e) * problem.scales.time_step / 60
     begins = float(mixture.chance[:, 1].sum())
@@ -310,10 +328,15 @@ def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _
         {"name": "rate", "value": rate, "unit": "1/min", "ci95": [max(rate - 2 * sd, 0.0), rate + 2 * sd]},
         {"name": "length", "value": length, "unit": "s", "ci95": [length * 0.7, length * 1.4]},
     ]
+    schema, names = problem.augmented.simulator.schema, _all(problem)
+    bodies = {schema.command[c].body for c in channels}
+    some = i > 0  # the first are all of them
+    of = f" of {', '.join(sorted(bodies))}" if some else ""
     return _claim(
         "dropout", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True, constants=constants,
-        outputs=_all(problem), statement=f"Commands are lost now and then ({rate:.1f} times a minute, for about "
-        f"{length:.2f} s), and the last one acts on.",
+        outputs=tuple(f.name for f in schema.state if f.body in bodies) if some else names,
+        statement=f"Commands{of} are lost now and then ({rate:.1f} times a minute, for about {length:.2f} s), and the "
+        "last one acts on.",
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
-from simgap.layout import Layout, Motion, at_rest, carried_velocity, motion, push
+from simgap.layout import Layout, Motion, at_rest, carried_velocity, motion, push, substituted
 from simgap.types import StepModel
 
 Theta = Float[Array | np.ndarray, " P"]
@@ -213,7 +213,11 @@ def advance(
 
         def response() -> Float[Array, "b 4"]:
             du, dv, _ = push(layout, now.heading, jnp.ones_like(nil))
-            return motion(layout, simulator.step(phi, start, u + du) + dv).velocity - expected.velocity
+            moved = simulator.step(phi, start, u + du) + dv
+            # The frames stay: a push that turns a body is none along its other axes.
+            for heading in {h for h in layout.heading if h is not None}:
+                moved = substituted(moved, heading, then[heading])
+            return motion(layout, moved).velocity - expected.velocity
 
         def own() -> Motion:
             return motion(layout, simulator.step(phi, start - carried_velocity(layout, start, start), u))

@@ -38,10 +38,10 @@ def _reaches(scales: Scales, site: int) -> list[list[float]]:
 def _contact(
     c: Float[Array, "1 n"], state: Float[Array, " s"], then: Float[Array, " s"], layout: Layout, scales: Scales, row
 ) -> Float[Array, " s"]:
-    """z >= lowest recorded z + c, and no velocity into the ground."""
+    """z >= a depth out of reach + c, and no velocity into the ground."""
     for k, b in enumerate(floored(layout)):
         z, vz = (int(table[b, Z]) for table in (layout.position, layout.velocity))
-        floor = jnp.where(c[0, k] > 0, scales.height[k, 0] + c[0, k], -jnp.inf)
+        floor = jnp.where(c[0, k] > 0, _depth(scales, k) + c[0, k], -jnp.inf)
         below = then[z] < floor
         then = substituted(then, z, jnp.maximum(then[z], floor))
         if vz >= 0:
@@ -49,10 +49,15 @@ def _contact(
     return then
 
 
+def _depth(scales: Scales, site: int) -> Float[np.ndarray, ""]:
+    """As far below the lowest recorded height as that is below the highest: a floor there is as good as none."""
+    return 2 * scales.height[site, 0] - scales.height[site, -1]
+
+
 def _heights(scales: Scales, site: int) -> list[list[float]]:
-    above = scales.height[site] - scales.height[site, 0]
-    lowest = [share * above[1] for share in (0.03, 0.1, 0.3, 0.6, 1.0)]
-    return [[max(float(c), 1e-4)] for c in (*lowest, above[3], above[6])]
+    lowest, above = scales.height[site, 0], scales.height[site] - scales.height[site, 0]
+    near = [share * above[1] for share in (0.03, 0.1, 0.3, 0.6, 1.0)]
+    return [[float(lowest - _depth(scales, site)) + max(float(c), 1e-4)] for c in (*near, above[3], above[6])]
 
 
 def _floored_sites(layout: Layout) -> tuple[Site, ...]:
@@ -64,7 +69,7 @@ def _reach(c: float, site: int, scales: Scales) -> float:
 
 
 def _height(c: float, site: int, scales: Scales) -> float:
-    return float(scales.height[site, 0]) + c
+    return float(_depth(scales, site)) + c
 
 
 EFFECTS = (

@@ -59,7 +59,7 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
         constants = theta + jnp.where((time_s >= from_s) & (time_s < to_s), 1.0, 0.0) * during
         # Lost commands come in bursts of four rows.
         k4 = jax.random.fold_in(lost_key, (time_s * 15).astype(int) // 4)
-        acted = jnp.where(jax.random.bernoulli(k4, lost), sent, u)
+        acted = jnp.where(jax.random.uniform(k4) < lost, sent, u)
         memory, state = advance(SPOT, phi, constants, scales, memory, state, acted, here)
         # What jolts the base carries the hand along, and both have moved by the end of the row.
         jolt = noise * jnp.array(PROCESS) * jax.random.normal(k3, (12,))
@@ -79,19 +79,19 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
 
 def recordings(
     constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI, during=None, from_s=0.0, to_s=np.inf, only=None,
-    lost=0.0,
+    lost: float | np.ndarray = 0.0,
 ) -> list[Recording]:  # fmt: skip
     """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise.
 
     `during` are constants that hold from `from_s` to `to_s` besides, in session `only` if it is given; `lost` is the
-    share of commands that are lost, in bursts.
+    share of commands that are lost, in bursts: of all channels, or of each.
     """
     out = []
     for s in range(sessions):
         key = jax.random.fold_in(jax.random.key(seed), s)
         more = theta(during or {}) * (only in (None, s))
         planted = (jnp.asarray(a) for a in (theta(constants), more))
-        y, u = _run(key, *planted, from_s, to_s, lost, jnp.asarray(phi), noise, rows)
+        y, u = _run(key, *planted, from_s, to_s, jnp.asarray(lost), jnp.asarray(phi), noise, rows)
         out.append(Recording(f"s{s}", np.arange(rows) / 15, np.asarray(y, np.float64), np.asarray(u, np.float64)))
     return out
 

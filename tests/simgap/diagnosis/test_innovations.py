@@ -19,6 +19,7 @@ from simgap.diagnosis.innovations import (
     TURNS,
     WARM,
     Variables,
+    alone,
     as_chunks,
     corrected,
     cut,
@@ -91,7 +92,7 @@ def test_several_effects_at_once_leave_nothing_either() -> None:
     constants = {
         **acting("delay", (1.3,), (0, 1, 2)), **acting("lag", (0.4,), (3, 4, 5)), **acting("saturation", (1.6,)),
         **acting("coulomb_friction", (0.03,), (0, 1)), **acting("gravity_sag", (0.05,)),
-        **acting("slope", (0.05, 0.02)), **acting("ground_contact", (0.1,)),
+        **acting("slope", (0.05, 0.02)), **acting("ground_contact", (0.85,)),
         **acting("integration_rule", (0.5,), (0, 1)),
         **acting("sensor_bias", (0.03,), (10,)), **acting("sensor_scale", (0.05,), (4,)),
     }  # fmt: skip
@@ -283,3 +284,17 @@ def test_entries_of_the_gain_are_in_units_of_the_time_step() -> None:
     assert K[9, 3] == K[6, 0] == 1  # the hand by the base
     np.testing.assert_allclose(np.diag(K), 0.5)
     assert K[8, 0] == 0
+
+
+def test_of_a_step_taken_alone_with_other_constants_the_steps_before_it_know_nothing() -> None:
+    chunks = cut(list(nothing_planted()), 1 / 15)
+    bare, gained = truth({}), theta(acting("gain", (0.3,), (3,)))
+    same = np.asarray(alone(SPOT, SCALES, bare, bare.theta, chunks))
+    counts = np.asarray(chunks.counts)
+    np.testing.assert_allclose(same[counts], np.asarray(innovations(SPOT, SCALES, bare, chunks))[counts], atol=1e-6)
+    other = np.asarray(alone(SPOT, SCALES, bare, gained, chunks))
+    own = other - same
+    # Of a gain of the hand's speed, what a step adds is in proportion to the command of that row and no other.
+    sent = np.abs(np.asarray(chunks.command)[:, :-1, 3])
+    felt = np.linalg.norm(own[..., 9:11], axis=-1)
+    np.testing.assert_allclose(felt, (1 - PHI[3]) * 0.3 * sent, atol=1e-5)

@@ -137,3 +137,13 @@ def test_rows_that_span_uneven_times_are_told() -> None:
     assert found.id == "sampling_interval"
     assert jitter["value"] == pytest.approx(JITTER / RATE, rel=0.3)
     assert found.heldout_gain > 0
+
+
+@pytest.mark.parametrize(("channels", "body"), [(range(6), ""), (range(3), "base"), (range(3, 6), "ee")])
+def test_of_commands_that_are_lost_those_are_told_that_are(channels: range, body: str) -> None:
+    share = np.zeros(6)
+    share[list(channels)] = 0.08
+    (found,) = told(*sessions({}, RICH, lost=share))
+    assert found.id == "dropout"
+    assert set(found.outputs) == {f.name for f in SCHEMA.state if f.body == body or not body}
+    assert found.gain > 30

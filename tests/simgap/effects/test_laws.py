@@ -228,7 +228,8 @@ def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
     _, state, command = scene(robot, seed)
     now, then = motion(augmented.layout, state), motion(augmented.layout, scene(robot, seed + 1)[1])
     response = jnp.abs(motion(augmented.layout, scene(robot, seed + 2)[1]).velocity)
-    step = Step(now, then, lambda: response, lambda: then, command, augmented.layout, scales(robot), ROW)
+    own, unbidden = lambda: then, lambda: then._replace(velocity=0 * then.velocity)
+    step = Step(now, then, lambda: response, own, unbidden, command, augmented.layout, scales(robot), ROW)
     return step, np.asarray(response)
 
 
@@ -258,7 +259,7 @@ def test_dry_friction_of_the_whole_robot_brings_it_to_rest(robot: str) -> None:
 
     What is mounted stands once its carrier does: a simulator may let the carrier's motion leak into its velocity.
     """
-    (coulomb,) = (e for e in CATALOGUE if e.id == "coulomb_friction")
+    (coulomb,) = (e for e in CATALOGUE if e.key == "coulomb_friction")
     much = theta(robot, coulomb, [1e3], list(range(len(sites_of(robot, coulomb)))))
     memory, state, command = scene(robot, 2)
     layout = ROBOTS[robot].layout
@@ -269,13 +270,32 @@ def test_dry_friction_of_the_whole_robot_brings_it_to_rest(robot: str) -> None:
     assert np.abs(motion(layout, state).velocity).max() < little
 
 
+def test_dry_friction_of_the_drive_stops_what_is_commanded_and_lets_a_bias_go_on() -> None:
+    memory, state, _ = at_rest("spot")
+    command = 0.1 * scene("spot", 0)[2]
+    layout = ROBOTS["spot"].layout
+    biased = PHI["spot"].copy()
+    biased[6:9] = 0.02, -0.01, 0.03  # of the base's velocities
+    bias = np.asarray(motion(layout, ROBOTS["spot"].simulator.step(biased, state, 0 * command)).velocity[0])
+
+    def moves(key: str) -> np.ndarray:
+        (effect,) = (e for e in CATALOGUE if e.key == key)
+        much = theta("spot", effect, [1e3], list(range(len(sites_of("spot", effect)))))
+        then = advance(ROBOTS["spot"], biased, much, scales("spot"), memory, state, command, ROW)[1]
+        return np.asarray(motion(layout, then).velocity[0])
+
+    assert np.abs(bias).max() > 0.01
+    np.testing.assert_allclose(moves("coulomb_friction"), 0, atol=1e-4)
+    np.testing.assert_allclose(moves("coulomb_friction.drive"), bias, atol=1e-4)
+
+
 @robots
 def test_resistances_are_nil_at_rest(robot: str) -> None:
     augmented = ROBOTS[robot]
     _, state, command = at_rest(robot)
     still = motion(augmented.layout, state)
     response = lambda: jnp.ones((len(still.velocity), 4))  # noqa: E731
-    step = Step(still, still, response, lambda: still, command, augmented.layout, scales(robot), ROW)
+    step = Step(still, still, response, lambda: still, lambda: still, command, augmented.layout, scales(robot), ROW)
     for effect in resistance.EFFECTS:
         push = effect.law(jnp.ones((1, len(sites_of(robot, effect)))), step)
         assert not push.any()
@@ -434,8 +454,25 @@ def test_heights_are_those_of_their_own_body() -> None:
     """A body whose recorded height never changes, and one that goes from 0.2 to 0.9 m."""
     (effect,) = (e for e in CATALOGUE if e.id == "ground_contact")
     heights = scales("spot")._replace(height=np.stack([np.full(21, 0.5), np.linspace(0.2, 0.9, 21)]))
-    got = [effect.constants[0].physical(0.1, site, heights) for site in (0, 1)]
+    got = [effect.constants[0].physical(c, site, heights) for site, c in enumerate((0.1, 0.8))]
     assert got == pytest.approx([0.6, 0.3])
+
+
+def test_a_floor_that_nothing_touches_is_none_at_any_depth() -> None:
+    """Its constant leads from nil to the first touch without a leap, which no standard deviation could tell of."""
+    (effect,) = (e for e in CATALOGUE if e.id == "ground_contact")
+    measures = scales("spot")
+    lowest, highest = measures.height[0, [0, -1]]
+    memory, state, command = at_rest("spot")
+    state = state.at[8].set(lowest)  # the hand's height
+    bare_z = float(bare("spot", state, command)[8])
+
+    def height(c: float) -> float:
+        return float(one_step("spot", theta("spot", effect, [c], [0]), memory, state, command, measures)[1][8])
+
+    span = highest - lowest
+    assert [height(c) for c in (0.0, 1e-3 * span, 0.5 * span, 0.99 * span)] == pytest.approx([bare_z] * 4)
+    assert height(1.1 * span) == pytest.approx(lowest + 0.1 * span, abs=1e-5)
 
 
 def test_reach_and_height_are_measured_of_the_hand_alone() -> None:
