@@ -7,7 +7,7 @@ import numpy as np
 
 from simgap.diagnosis.candidates import besides, candidates, changed, gated
 from simgap.diagnosis.confidence import Spread, spread, told_from_nil
-from simgap.diagnosis.fit import Fit, Problem, evaluate, start, whitening
+from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, start, whitening
 from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
@@ -16,7 +16,7 @@ from simgap.diagnosis.scatter import Scatter, scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed
-from simgap.diagnosis.when import When, gate
+from simgap.diagnosis.when import When, gate, rows_of
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording, StepModel
 
@@ -98,10 +98,10 @@ def explain(
         # Each is measured beside its twin: what both have and the baseline alone was too short to show is no change.
         hypotheses = [changed(c) for c in throughout]
 
-    def helps(problem: Problem, tried: Tried) -> bool:
+    def helps(problem: Problem, tried: Tried, owed: float) -> bool:
         # What acts in one session of training only is nothing to the others.
         elsewhere = not np.asarray(unseen.gate).any() and tried.candidate.groups[0].gated
-        holds = elsewhere or gain(problem, unseen, tried.without, tried.fit) > 0
+        holds = elsewhere or agrees(tried, gain(problem, unseen, tried.without, tried.fit), problem.chunks, owed)
         return holds and (not baseline or differs(problem, tried, len(baseline)))
 
     say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
@@ -117,6 +117,7 @@ def explain(
         when = begins(model, searched.rounds[0].screening, rng, say)
     if when is not None:
         # What acts for a while only was looked for as if it acted throughout: look again.
+        whole = problem, unseen, searched, model, members, rounds
         problem, unseen = problem._replace(chunks=chunks._replace(gate=gate(chunks, when))), seen_at(unseen, when)
         # In one session it may have been a push as well.
         behind = throughout if when.session is None else [*besides(throughout, events), *events]
@@ -124,6 +125,8 @@ def explain(
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)
         members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
+        if not members:
+            problem, unseen, searched, model, members, rounds = whole
 
     def bare() -> Model:
         """The model without its effects."""
@@ -155,6 +158,19 @@ def explain(
         model.problem, as_is, base.fit, model.fit, spread(*model), members, scattered,
         leaves(model.problem, model.fit, len(baseline)), unseen, when, [*searched.rounds, *rounds], len(baseline),
     )  # fmt: skip
+
+
+def agrees(tried: Tried, heldout: float, chunks: Chunks, owed: float) -> bool:
+    """Whether held-out sessions that gain so many nats agree that an effect is there.
+
+    They do where they gain. Where they lose, which they may by parameters that their motion depends on and the fitted
+    sessions' hardly does, all sessions together must gain what is owed, were the one that speaks most for it left out.
+    """
+    if heldout > 0:
+        return True
+    rows = (log_density(tried.fit.e, tried.fit.noise) - log_density(tried.without.e, tried.without.noise)).sum(1)
+    by_session = np.bincount(rows_of(chunks).session, rows)
+    return float(by_session.sum() - by_session.max()) + heldout > owed
 
 
 def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:

@@ -64,13 +64,14 @@ def defend(
         tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, own)
         rounds.append(tried)
         rivals = [t for t in tried.tried if t is not own]
-        better = _better(reduced, rivals, own, helps)
+        owed = chosen.screening.threshold / 2
+        better = _better(reduced, rivals, own, helps, owed)
         if better is not None:
             say(f"{better.candidate.name} replaces {candidate.name} ({better.gain - own.gain:+.1f} nats)")
             model = Model(problem, *optimise(problem, better.fit))
             rivals.remove(better)
             own = better
-        if own.gain < max(chosen.screening.threshold / 2, least(problem, base, reduced.fit, model.fit)):
+        if own.gain < max(owed, least(problem, base, reduced.fit, model.fit)):
             say(f"{candidate.name} is not needed beside the others")
             model = reduced
         else:
@@ -87,10 +88,10 @@ def _rivals(candidate: Candidate, when_chosen: Screening, candidates: Sequence[C
     return [c for c in candidates if c is candidate or c.name in near]
 
 
-def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps) -> Tried | None:
+def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps, owed: float) -> Tried | None:
     """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
     ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
-    return next((t for t in ahead if helps(reduced.problem, t)), None)
+    return next((t for t in ahead if helps(reduced.problem, t, owed)), None)
 
 
 def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:

@@ -54,6 +54,11 @@ class Screened(NamedTuple):
     statistic: float
     power: float
 
+    @property
+    def as_it_stands(self) -> float:
+        """Gain expected at the start itself [nats], not with the best amplitude along its direction."""
+        return 2 * np.sqrt(self.gain * self.power) - self.power
+
 
 class _Direction(NamedTuple):
     """One constant of a hypothesis at its start, the other amplitudes zero."""

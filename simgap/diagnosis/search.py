@@ -94,8 +94,8 @@ class Tried(NamedTuple):
         return Tried.of(self.candidate, fit_further(self.fit), self.without, self.expected)
 
 
-Helps = Callable[[Problem, Tried], bool]
-"""Whether sessions that take no part agree that an effect is there."""
+Helps = Callable[[Problem, Tried, float], bool]
+"""Whether sessions that take no part agree that an effect is there, which owes so many nats."""
 
 
 class Round(NamedTuple):
@@ -179,9 +179,9 @@ def one_more(
     if screening.p_value > LEVEL:
         return Round(screening, [])
     held, fitted = hold(fit, absorbed), [own] if own else []
-    promising = [s for s in _promising(screening.found) if s.candidate.name not in {t.candidate.name for t in fitted}]
+    likely = [s for s in promising(screening.found) if s.candidate.name not in {t.candidate.name for t in fitted}]
     tried: list[Tried] = []
-    for some in _at_once(promising):
+    for some in _at_once(likely):
         best = max([t.gain for t in (*fitted, *tried)], default=0.0)
         tried += side_by_side(lambda s: _try(problem, fit, held, s, 3), [s for s in some if s.gain >= HOPELESS * best])
     tried.sort(key=lambda t: -t.promise)
@@ -203,8 +203,11 @@ def _to_its_end(problem: Problem, t: Tried) -> Tried:
     return t.further(lambda f: optimise(problem, f, settled(t.gain))[0])
 
 
-def _promising(found: Sequence[Screened]) -> list[Screened]:
-    """The best start of the best two hypotheses of each effect, best first."""
+def promising(found: Sequence[Screened]) -> list[Screened]:
+    """The best two hypotheses of each effect, best first, each where it stands best.
+
+    A limit's best direction may be that of one far too tight, which is nil, and leads nowhere, at any share of itself.
+    """
     chosen: list[Screened] = []
     seen: set[tuple[str, bool, str]] = set()
     for s in found:
@@ -213,7 +216,9 @@ def _promising(found: Sequence[Screened]) -> list[Screened]:
         if s.gain < 2 or name in seen:
             continue
         if sum((c.candidate.effect.key, bool(c.candidate.twin)) == key for c in chosen) < 2:
-            chosen.append(s)
+            near = [o for o in found if o.candidate is s.candidate and o.constant == s.constant]
+            near = [o for o in near if o.gain >= CONTENDER * s.gain]
+            chosen.append(s._replace(start=max(near, key=lambda o: o.as_it_stands).start))
             seen.add(name)
         if len(chosen) == FITTED:
             break
@@ -262,7 +267,7 @@ def search(
         found = one_more(model, candidates, rng, say)
         owed = found.screening.threshold / 2
         worthy = [t for t in found.tried if t.gain > max(owed, least(model.problem, base, model.fit, t.fit))]
-        best = next((t for t in worthy if helps(model.problem, t)), None)
+        best = next((t for t in worthy if helps(model.problem, t, owed)), None)
         for t in worthy[: worthy.index(best)] if best else worthy:
             say(f"{t.candidate.name} does not hold on sessions that took no part")
         if best is None:

@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
-from planted import PHI, SCALES, theta
-from small import KEYS, RICH, acting, explain, sessions
+from planted import PHI, SCALES, SPOT, theta
+from small import KEYS, RICH, acting, explain, problem, sessions
 
-from simgap.diagnosis.search import LEVEL
+from simgap.diagnosis.candidates import candidates
+from simgap.diagnosis.explain import agrees
+from simgap.diagnosis.fit import Fit, Noise, start
+from simgap.diagnosis.screen import Screened
+from simgap.diagnosis.search import LEVEL, Tried, promising
+from simgap.diagnosis.when import rows_of
 from simgap.effects import CATALOGUE
 
 SMOOTH_ARM = np.r_[PHI[:3], 0.3, 0.3, 0.3, PHI[6:]].astype(np.float32)
@@ -51,7 +56,7 @@ CASES = [
     case("rotation_centre", (0.1, 0.06)),
     case("reach_limit.horizontal", (1 / 0.9,)),
     case("reach_limit.spherical", (1 / 1.0,)),
-    case("ground_contact", (0.15,)),
+    case("ground_contact", (0.9,)),  # 0.35 m: 0.75 m, the range of heights, below the lowest it is nil
     case("relative_smoothing.own_motion", (1.0,), phi=SMOOTH_ARM),
     case("relative_smoothing.body_frame", (1.0,)),
     case("integration_rule", (0.6,), tuple(range(6))),
@@ -87,7 +92,7 @@ def test_planted_effects_are_named_with_their_constants(
     sd = found.sd.constants
     for k, (constant, group) in enumerate(zip(KEYS[key].constants, member.candidate.groups, strict=True)):
         value, planted = float(found.fit.v.theta[group.entries[0]]), constants[k]
-        if key == "ground_contact":  # its height is told from the lowest recorded one
+        if key == "ground_contact":  # its height is told from the recorded ones
             value = constant.physical(value, 0, found.problem.scales)
             planted = constant.physical(planted, 0, SCALES)
         elif key == "sensor_bias":
@@ -197,6 +202,40 @@ def test_a_limit_that_is_seldom_reached_is_found(reach: float) -> None:
     assert found.names(member)
     assert member.candidate.effect.key == "reach_limit.horizontal"
     assert 1 / float(found.fit.v.theta[member.candidate.groups[0].entries[0]]) == pytest.approx(reach, rel=0.01)
+
+
+def test_a_limit_is_fitted_from_where_it_stands_best_not_from_the_direction_that_gains_most() -> None:
+    """Of a limit far too tight a part gains most, which no share of its constant is."""
+    limit = next(c for c in candidates(SPOT, SCALES) if c.effect.key == "saturation")
+    tested = ((2.13, 65.5, 685.8), (2.05, 65.2, 99.8), (2.0, 64.9, 3.0), (1.9, 0.0, 0.0))
+    found = [Screened(limit, (c,), 0, gain, 90.0, power) for c, gain, power in tested]
+    (chosen,) = promising(found)
+    assert chosen.start == (2.05,)
+    assert chosen.gain == 65.5
+
+
+@pytest.mark.parametrize(
+    ("by_session", "heldout", "there"),
+    [
+        ((1.0, 1.0, 1.0), 0.1, True),
+        ((40.0, 40.0, 40.0), -30.0, True),
+        ((40.0, 40.0, 40.0), -75.0, False),
+        ((120.0, 1.0, -1.0), -5.0, False),
+    ],
+    ids=["held-out sessions gain", "all others gain more", "they lose too much", "one session speaks for it"],
+)
+def test_heldout_sessions_that_lose_are_outvoted_by_several_others_not_by_one(
+    by_session: tuple[float, ...], heldout: float, there: bool
+) -> None:
+    training, _ = sessions({})
+    of = problem(training)
+    session = rows_of(of.chunks).session
+    noise = Noise(np.ones(1), np.full(1, 1e6))  # as good as normal: half the square of an innovation is lost
+    gains = np.array(by_session)[session] / np.bincount(session)[session]
+    fits = [Fit(start(of), (), e[:, None], noise, 0.0) for e in (np.sqrt(2 * gains + 10), np.full(len(gains), 10**0.5))]
+    without, with_it = fits
+    hypothesis = candidates(SPOT, SCALES)[0]
+    assert agrees(Tried.of(hypothesis, with_it, without), heldout, of.chunks, 10.0) == there
 
 
 def test_the_catalogue_has_no_effect_twice() -> None:
