@@ -82,11 +82,14 @@ def unit_of(augmented: Augmented, candidate: Candidate, constant: Constant) -> s
 
 
 def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int, ...]]]:
-    """Single sites, sites of one family, and all sites; sharing a constant takes a shared unit, if it has one."""
+    """Single sites, sites of one family or branch of it, and all sites; they share a constant only with its unit."""
     found: dict[tuple[int, ...], str] = {(s,): site.name for s, site in enumerate(sites)}
     if effect.tie != "never":
         families = dict.fromkeys(site.family for site in sites)
         sets = [(f, tuple(s for s, site in enumerate(sites) if site.family == f)) for f in families]
+        for family, branch in dict.fromkeys((site.family, site.branch) for site in sites if site.branch):
+            members = tuple(s for s, site in enumerate(sites) if (site.family, site.branch) == (family, branch))
+            sets.append((f"{family} {branch}", members))
         if effect.tie == "any":
             sets.append(("all", tuple(range(len(sites)))))
         for name, members in sets:

@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from simgap.diagnosis.black_box import BlackBox, silent
 from simgap.diagnosis.fit import Noise, Problem, fit_noise, log_density
 from simgap.diagnosis.forecast import forecast, windows
 from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, wrap
+from simgap.diagnosis.search import LEVEL
 from simgap.layout import Layout, X, Y, Z
 from simgap.types import Recording
 
@@ -120,11 +122,16 @@ def _distance(judged: Judged, k: int, axes: Sequence[int], i: np.ndarray) -> flo
 
 def resample(session: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
     """Index sets: all pieces, then bootstrap draws of sessions, or of runs of ten pieces where sessions are few."""
-    whole = len(np.unique(session)) >= LEAST_SESSIONS
-    unit = session if whole else session * 10**6 + np.arange(len(session)) // 10
+    unit = _unit(session)
     members = [np.flatnonzero(unit == u) for u in np.unique(unit)]
     drawn = [np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))]) for _ in range(DRAWS)]
     return [np.arange(len(session)), *drawn]
+
+
+def _unit(session: np.ndarray) -> np.ndarray:
+    """What varies by itself: a number for each piece's session, or for its run of ten pieces where sessions are few."""
+    whole = len(np.unique(session)) >= LEAST_SESSIONS
+    return session if whole else session * 10**6 + np.arange(len(session)) // 10
 
 
 def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
@@ -151,9 +158,22 @@ def worse(a: Judged, b: Judged, rng: np.random.Generator) -> bool:
     return any(_interval(partial(more, k), draws)["ci95"][0] > MARGIN for k in range(1, a.error.shape[1]))
 
 
+def _surely_better(a: Judged, b: Judged) -> bool:
+    """Whether b has the lesser nll by more than noise gives with the chance at which it may pass for an effect.
+
+    By Student's t over sessions or runs of pieces, of which there may be too few for a bootstrap to tell.
+    """
+    unit = np.unique(_unit(a.session), return_inverse=True)[1]
+    gains = np.bincount(unit, a.nll - b.nll) / np.bincount(unit)
+    if len(gains) < 2 or not np.isfinite(gains).all():
+        return False
+    error = gains.std(ddof=1) / np.sqrt(len(gains))
+    return bool(gains.mean() > stats.t.isf(LEVEL, len(gains) - 1) * error)
+
+
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
     """Share of the black box's one-step gain that named physics makes; None where the box gains nothing sure."""
-    if difference(refitted, box, rng)["ci95"][0] <= 0:
+    if not _surely_better(refitted, box):
         return None
 
     def ratio(i: np.ndarray) -> float:

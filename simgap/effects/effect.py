@@ -66,13 +66,15 @@ class Scales(NamedTuple):
 
 
 class Site(NamedTuple):
-    """Where an effect can act: its name, the commands and outputs concerned, and the family of sites it is tied in."""
+    """Where an effect can act: its name, the commands and outputs concerned, and the family of sites it is tied in, in
+    which those of one branch may be tied as well."""
 
     name: str
     channels: tuple[str, ...]
     outputs: tuple[str, ...]
     family: str
     unit: str
+    branch: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,10 @@ from simgap.layout import Layout, wrapped
 
 
 def _output_sites(layout: Layout) -> tuple[Site, ...]:
-    return tuple(Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit) for f in layout.schema.state)
+    return tuple(
+        Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit, "in the plane" if f.axis in ("x", "y") else "")
+        for f in layout.schema.state
+    )
 
 
 def _sensors(layout: Layout) -> list[tuple[str, list[int]]]:
