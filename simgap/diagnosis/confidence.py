@@ -46,13 +46,15 @@ def spread(
     return Spread(sd[: len(parameters)] * ranges, sd[len(nuisance) :])
 
 
-def told_from_nil(fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
-    """Whether any of the effect's amplitudes is so many standard deviations from zero."""
+def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
+    """Whether any of the effect's amplitudes is so many standard deviations from zero, and none beyond belief."""
+    told = False
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
-        value = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
-        if not constant.shapes and abs(value) > deviations * sd.constants[fit.groups.index(group)]:
-            return True
-    return False
+        value = abs(float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]]))
+        if value > min(constant.credible(site, problem.scales) for site in candidate.sites):
+            return False
+        told |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
+    return told
 
 
 def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> list[dict]:

@@ -52,7 +52,7 @@ class Explanation(NamedTuple):
         A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do.
         """
         share = named_share(self.problem.augmented.layout, self.fit, member.without, self.left)
-        return share >= EXPLAINED and told_from_nil(self.fit, member.candidate, self.sd)
+        return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
 
     def known(self) -> Fit:
         """The fit without the effects that are nearest words only; nothing is fitted anew."""

@@ -39,7 +39,7 @@ def differs(problem: Problem, tried: Tried, baseline: int) -> bool:
     """
     units = _units(problem.chunks, baseline)
     sd = spread(problem, tried.fit, nuisance_columns(problem, tried.fit.v), units.starts)
-    return told_from_nil(tried.fit, tried.candidate, sd, units.sure)
+    return told_from_nil(problem, tried.fit, tried.candidate, sd, units.sure)
 
 
 def _units(chunks: Chunks, baseline: int) -> _Units:

@@ -76,13 +76,20 @@ def _small(fraction: float, power: int):
     return starts
 
 
+def _usual_command(site: int, scales: Scales) -> float:
+    """Where so much is lost, hardly anything that is commanded would move at all."""
+    return float(scales.axis_command[site])
+
+
+_LOSS = Constant("loss", "{u}", low=0.0, credible=_usual_command)
+
 EFFECTS = (
     Effect(
-        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0),), axis_sites, _small(0.1, 0), _coulomb,
+        "coulomb_friction", "push", (_LOSS,), axis_sites, _small(0.1, 0), _coulomb,
         "dry friction: a constant resistance of {loss} works against the motion", tie="same_unit",
     ),
     Effect(
-        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0),), axis_sites, _small(0.1, 0), _coulomb_of_drive,
+        "coulomb_friction", "push", (_LOSS,), axis_sites, _small(0.1, 0), _coulomb_of_drive,
         "dry friction in the drive: a constant resistance of {loss} works against the motion", form="drive",
         tie="same_unit",
     ),
