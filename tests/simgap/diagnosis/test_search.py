@@ -17,6 +17,10 @@ SMOOTH_ARM = np.r_[PHI[:3], 0.3, 0.3, 0.3, PHI[6:]].astype(np.float32)
 """A hand that remembers its velocity, without which it does not matter what it remembers."""
 
 
+BIASED = np.r_[PHI[:6], 0.02, -0.02, PHI[8:]].astype(np.float32)
+"""A base that drifts, which tells friction that stops this from friction in the drive, which does not."""
+
+
 def case(key: str, constants: tuple[float, ...], sites: tuple[int, ...] = (0,), **more):
     return pytest.param(key, constants, sites, more, id=f"{key}-{'-'.join(map(str, sites))}")
 
@@ -37,7 +41,8 @@ CASES = [
     case("gain_drift", (-0.9,), BASE),
     case("cross_axis_coupling", (0.15,), (2,)),
     case("frame_misalignment", (0.12,)),
-    case("coulomb_friction", (0.06,), (0, 1)),
+    case("coulomb_friction", (0.06,), (0, 1), phi=BIASED),
+    case("coulomb_friction.drive", (0.06,), (0, 1), phi=BIASED),
     case("viscous_drag", (0.16,), (1,)),
     case("quadratic_drag", (0.3,)),
     case("slip.turning", (0.4,)),
