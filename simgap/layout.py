@@ -188,11 +188,6 @@ def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
     return Motion(jnp.array(velocities).reshape(-1, 4), jnp.array(positions).reshape(-1, 3), jnp.array(angles))
 
 
-def at_rest(layout: Layout, state: Float[Array, " s"]) -> Float[Array, " s"]:
-    """The state with all velocities zero."""
-    return jnp.where(np.array([f.kind == "velocity" for f in layout.schema.state]), 0.0, state)
-
-
 def carried_velocity(layout: Layout, state: Float[Array, " s"], moving: Float[Array, " s"]) -> Float[Array, " s"]:
     """What the carriers' motion contributes to the mounted bodies' velocities (world frame), zero elsewhere.
 

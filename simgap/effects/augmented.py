@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
-from simgap.layout import Layout, Motion, at_rest, carried_velocity, motion, push, substituted
+from simgap.layout import Layout, Motion, carried_velocity, motion, push, substituted
 from simgap.types import StepModel
 
 Theta = Float[Array | np.ndarray, " P"]
@@ -222,10 +222,7 @@ def advance(
         def own() -> Motion:
             return motion(layout, simulator.step(phi, start - carried_velocity(layout, start, start), u))
 
-        def unbidden() -> Motion:
-            return motion(layout, simulator.step(phi, at_rest(layout, start), jnp.zeros_like(u)))
-
-        step = Step(now, expected, response, own, unbidden, u, layout, scales, row)
+        step = Step(now, expected, response, own, u, layout, scales, row)
         du, dv, dp = push(layout, now.heading, sum((law(nil, step) for law in laws), nil))
         return simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
 

@@ -130,15 +130,13 @@ class Step(NamedTuple):
     """What a push can look at: the motion now, the motion the simulator expects, command and layout.
 
     response(): change of the expected own velocity per unit of push, by body and axis. own(): the motion that is
-    expected of bodies which remember their own velocity alone, not what carriers add. unbidden(): the motion that is
-    expected of bodies at rest which nothing commands. Each takes a step of its own.
+    expected of bodies which remember their own velocity alone, not what carriers add. Each takes a step of its own.
     """
 
     now: Motion
     then: Motion
     response: Callable[[], Float[Array, "b 4"]]
     own: Callable[[], Motion]
-    unbidden: Callable[[], Motion]
     command: Float[Array, " u"]
     layout: Layout
     scales: Scales

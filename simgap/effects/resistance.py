@@ -13,18 +13,9 @@ def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     v' is what the body's own drive makes it move by: a simulator whose velocity memory holds the carrier's motion would
     have an arm at rest on a walking base slide in its joints.
     """
-    return _dry(c[0], step, step.own().velocity)
-
-
-def _coulomb_of_drive(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The same in the drive: what sticks there goes on with what moves a body at rest that nothing commands, a bias."""
-    return _dry(c[0], step, step.own().velocity - step.unbidden().velocity)
-
-
-def _dry(c: Float[Array, " n"], step: Step, velocity: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
     response = step.response()
-    stops = velocity / jnp.where(jnp.abs(response) > 1e-6, response, jnp.inf)
-    most = on_axes(step.layout, c)
+    stops = step.own().velocity / jnp.where(jnp.abs(response) > 1e-6, response, jnp.inf)
+    most = on_axes(step.layout, c[0])
     return -jnp.clip(stops, -most, most)
 
 
@@ -81,16 +72,10 @@ def _usual_command(site: int, scales: Scales) -> float:
     return float(scales.axis_command[site])
 
 
-_LOSS = Constant("loss", "{u}", low=0.0, credible=_usual_command)
-
 EFFECTS = (
     Effect(
-        "coulomb_friction", "push", (_LOSS,), axis_sites, _small(0.1, 0), _coulomb,
-        "dry friction: a constant resistance of {loss} works against the motion", tie="same_unit",
-    ),
-    Effect(
-        "coulomb_friction", "push", (_LOSS,), axis_sites, _small(0.1, 0), _coulomb_of_drive,
-        "dry friction in the drive: a constant resistance of {loss} works against the motion", form="drive",
+        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0, credible=_usual_command),), axis_sites,
+        _small(0.1, 0), _coulomb, "dry friction: a constant resistance of {loss} works against the motion",
         tie="same_unit",
     ),
     Effect(
