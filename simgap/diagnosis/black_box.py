@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from simgap.diagnosis.fit import Problem, counted, raw_innovations
-from simgap.diagnosis.innovations import Chunks, Variables, bare, estimates_of
+from simgap.diagnosis.innovations import Variables, estimates_of
 from simgap.layout import Layout, motion, rotated
 
 COMMANDS = 4
@@ -87,39 +87,30 @@ def correct(
     return rotated(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state, 1.0)
 
 
-@partial(jax.jit, static_argnames="layout")
-def _inputs(layout: Layout, chunks: Chunks, x: Float[Array, "C t s"]) -> Float[Array, "C t d"]:
-    """Inputs of every row, for the estimates that their steps begin with."""
+def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n k u"]]:
+    """What the box sees in the rows that count: the state that each step begins with, and the last commands.
 
-    def of_chunk(chunk: Chunks, x: Array) -> Array:
-        sent = jnp.concatenate([chunk.past[::-1][-COMMANDS:], chunk.command[:-1]])
-        last = jnp.stack([sent[COMMANDS - k : len(sent) - k] for k in range(COMMANDS)], axis=1)
-        return jax.vmap(lambda s, u: inputs(layout, s, u))(x, last)
-
-    return jax.vmap(of_chunk)(bare(chunks), x)
-
-
-def _seen(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs [n, d] of the rows that count, and the estimates [n, s] that they are of.
-
-    As in forecasts these are the filter's: what is measured holds noise, which foretells innovations too, but once.
+    The state is the filter's estimate, as in forecasts: what is measured holds noise, which foretells the next
+    innovation as well, and none after it.
     """
-    chunks = problem.chunks
-    x = estimates_of(problem.augmented, problem.scales, v, chunks)
-    z = _inputs(problem.augmented.layout, chunks, x)
-    return counted(chunks, np.asarray(z)), counted(chunks, np.asarray(x))
+    chunks, counts = problem.chunks, np.asarray(problem.chunks.counts)
+    x = np.asarray(estimates_of(problem.augmented, problem.scales, v, chunks))
+    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1][:, -COMMANDS:], np.asarray(chunks.command)[:, :-1]], axis=1)
+    last = np.stack([sent[:, COMMANDS - k : sent.shape[1] - k] for k in range(COMMANDS)], axis=2)
+    return x[counts], last[counts]
 
 
-@partial(jax.jit, static_argnames=("layout", "sign"))
-def _turned(layout: Layout, a: Float[Array, "n s"], x: Float[Array, "n s"], sign: float) -> Float[Array, "n s"]:
-    return jax.vmap(lambda a, x: rotated(layout, a, x, sign))(a, x)
+@partial(jax.jit, static_argnames="layout")
+def _by_row(layout: Layout, x: Array, sent: Array, e: Array) -> tuple[Float[Array, "n d"], Float[Array, "n s"]]:
+    own = jax.vmap(lambda e, s: rotated(layout, e, s, -1.0))(e, x)
+    return jax.vmap(lambda s, u: inputs(layout, s, u))(x, sent), own
 
 
 def _design(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
     """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
-    z, x = _seen(problem, v)
     e = counted(problem.chunks, raw_innovations(problem, v))
-    return z, np.asarray(_turned(problem.augmented.layout, e, x, -1.0))
+    z, target = _by_row(problem.augmented.layout, *_seen(problem, v), e)
+    return np.asarray(z), np.asarray(target)
 
 
 def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
@@ -167,23 +158,18 @@ def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndar
 
 def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray, "C t s"]:
     """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
-    counts = np.asarray(problem.chunks.counts)
-    z, x = _seen(problem, v)
-    said = np.zeros((*counts.shape, x.shape[1]), np.float32)
-    said[counts] = _turned(problem.augmented.layout, _said(box, z), x, 1.0)
+    counts, layout = np.asarray(problem.chunks.counts), problem.augmented.layout
+    said = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
+    said[counts] = jax.vmap(lambda s, u: correct(layout, box, s, u))(*map(jnp.asarray, _seen(problem, v)))
     return said
-
-
-@jax.jit
-def _said(box: BlackBox, z: Float[Array, "n d"]) -> Float[Array, "n s"]:
-    return jax.vmap(lambda r: _features(box, r))(z) @ box.weights
 
 
 def dependence(problem: Problem, v: Variables, box: BlackBox, rng: np.random.Generator) -> list[tuple[str, float]]:
     """Inputs by how much of the explained error goes when they are shuffled, greatest first: [(name, share)]."""
     z, target = _design(problem, v)
     scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
-    loss = lambda z: float((np.clip((target - np.asarray(_said(box, z))) / scale, -4, 4) ** 2).sum())  # noqa: E731
+    predict = jax.jit(lambda z: jax.vmap(lambda r: _features(box, r))(z) @ box.weights)
+    loss = lambda z: float((np.clip((target - np.asarray(predict(z))) / scale, -4, 4) ** 2).sum())  # noqa: E731
     with_all = loss(z)
     explained = float((np.clip(target / scale, -4, 4) ** 2).sum()) - with_all
     shares = []
