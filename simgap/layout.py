@@ -217,15 +217,15 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
 
 def rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
     """World-frame horizontal pairs (velocities, positions) turned by sign times the heading of their body."""
+    numbers = list(vector)
     for b, heading in enumerate(layout.heading):
         if heading is None:
             continue
         for table in (layout.velocity, layout.position):
             ix, iy = (int(i) for i in table[b, [X, Y]])
             if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-                x, y = _turn(vector[ix], vector[iy], sign * state[heading])
-                vector = substituted(substituted(vector, ix, x), iy, y)
-    return vector
+                numbers[ix], numbers[iy] = _turn(vector[ix], vector[iy], sign * state[heading])
+    return jnp.stack(numbers)
 
 
 def _enter(

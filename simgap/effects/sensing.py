@@ -36,9 +36,9 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row:
     delay = jnp.zeros(len(layout.schema.state))
     for k, (_, members) in enumerate(_sensors(layout)):
         delay = jnp.where(np.isin(np.arange(len(delay)), members), c[0, k], delay)
-    since = wrapped(layout, jnp.concatenate([state[None], past]) - state)
-    rows = jnp.arange(len(since))[:, None]
-    return state + (jnp.maximum(0.0, 1 - jnp.abs(rows - delay)) * since).sum(0)
+    # As one array, reduced, it takes XLA ten times as long: see the command's delay.
+    since = (jnp.maximum(0.0, 1 - jnp.abs(k - delay)) * wrapped(layout, then - state) for k, then in enumerate(past, 1))
+    return state + sum(since)
 
 
 def _scale(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
