@@ -89,7 +89,7 @@ def _begin(
 
     def one(state: Array, past: Array, time_s: Array, turns: Array) -> tuple[Memory, Array]:
         first = unsense(augmented, v.theta, state, time_s)
-        return remember(augmented, v.theta, first, past, time_s, turns, active), first
+        return remember(augmented, jnp.asarray(v.phi), v.theta, first, past, time_s, turns, active), first
 
     return jax.vmap(one)(state, past, time_s, turns)
 

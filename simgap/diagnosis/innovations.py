@@ -164,7 +164,7 @@ def _chunk(
     K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
     at_start = v.theta + chunk.gate[0] * v.gated
     first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
-    memory = remember(augmented, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
+    memory = remember(augmented, phi, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
 
     def row(carry, now):
         memory, x = carry

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
+from simgap.effects.command_path import fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
 from simgap.layout import Layout, Motion, carried_velocity, motion, push, substituted
 from simgap.types import StepModel
@@ -114,6 +115,7 @@ def where(on: Bool[Array, ""] | None, value: Callable[[], Any], nil: Any) -> Any
 
 def remember(
     augmented: Augmented,
+    phi: Float[Array, " p"],
     theta: Theta,
     state: Float[Array, " s"],
     past: Float[Array, "n u"],
@@ -130,7 +132,7 @@ def remember(
     sent = past[::-1]
     first = sent[HISTORY_ROWS - 1 :: -1]
     states = jnp.tile(state, (SENSED_ROWS, 1))
-    row = Row(time_s, jnp.ones(()))
+    row, forgets = Row(time_s, jnp.ones(())), fading_of(augmented.simulator, augmented.layout, phi)
 
     def run(memory: Memory, commands: Float[Array, "n u"]) -> Memory:
         return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
@@ -142,7 +144,7 @@ def remember(
         return jax.lax.scan(step, memory, turned)[0]
 
     def settled() -> dict[str, Float[Array, " u"]]:
-        memory = Memory(first, {law.effect.key: first[0] for law in filters}, states)
+        memory = Memory(first, {law.effect.key: first[0] for law in filters}, states, forgets)
         if turns is not None:
             began = memory._replace(filters=dict.fromkeys(memory.filters, turns[-1]))
             outlasted = held(began, turns[::-1]).filters
@@ -151,7 +153,7 @@ def remember(
         return run(memory, sent[HISTORY_ROWS:]).filters
 
     nil = {law.effect.key: past[0] for law in filters}
-    return Memory(past[:HISTORY_ROWS], where(_any(filters), settled, nil), states)
+    return Memory(past[:HISTORY_ROWS], where(_any(filters), settled, nil), states, forgets)
 
 
 def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
@@ -175,9 +177,9 @@ def follow(
     u, filters = command, dict(memory.filters)
     for law in augmented.laws(theta, active, "command", "filter"):
         if law.effect.place == "command":
-            u = law(u, u, memory.commands, row, augmented.layout)
+            u = law(u, u, memory, row, augmented.layout)
         else:
-            filters[law.effect.key], u = law((u, u), u, filters[law.effect.key])
+            filters[law.effect.key], u = law((u, u), u, filters[law.effect.key], memory.fading)
     commands = jnp.concatenate([command[None], memory.commands[:-1]])
     return memory._replace(commands=commands, filters=filters), u
 

@@ -1,83 +1,118 @@
 """Effects on the way from a command that is sent to the command that acts.
 
-A law of place "command" is `law(c[k, sites], u, past, row, layout) -> u`, where past[k] was sent k + 1 rows ago; one of
-place "filter" is `law(c[k, sites], u, z) -> (z, u)`: what it remembers, and the command that acts.
+A law of place "command" is `law(c[k, sites], u, memory, row, layout) -> u`; one of place "filter" is
+`law(c[k, sites], u, z, fading) -> (z, u)`: what it remembers, and the command that acts.
+
+A simulator holds a command for a row, a robot does not: it may change within. What acts is the constant command that
+leads to the same velocity at the row's end. There a joint that follows its command as a first-order system has
+forgotten more of what came early in the row: with v = a v + (1 - a) u over a row, a command at the time s of it, 0 to
+1, weighs as exp(fading s), fading = -ln a. Where nothing is forgotten, as with a force, that is the command's mean.
 """
 
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Row, Scales, Site, channel_sites
+from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site, channel_sites
 from simgap.layout import Layout, X, Y, placed, substituted
+from simgap.types import StepModel
 
 _U = Float[Array, " u"]
 
-
-def _delay(c: Float[Array, "1 u"], u: _U, past: Float[Array, "h u"], row: Row, layout: Layout) -> _U:
-    """u(t - d), d = c rows, between two rows in proportion."""
-    # A sum of rows in Python: as one array, reduced, it takes XLA six times as long.
-    return sum((jnp.maximum(0.0, 1 - jnp.abs(k - c[0])) * sent for k, sent in enumerate(past, start=1)),
-               jnp.maximum(0.0, 1 - c[0]) * u)  # fmt: skip
+NEVER = 1e-6
+"""Fading of what forgets nothing, or nearly."""
+AT_ONCE = 4.0
+"""Greatest fading: a joint that follows nearly at once still takes a part of a row."""
 
 
-def _quantization(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def fading_of(simulator: StepModel, layout: Layout, phi: Float[Array, " p"]) -> _U:
+    """-ln a of every command [u], by the response at rest of the velocity it drives; `NEVER` where it drives none."""
+    rest = jnp.zeros(len(layout.schema.state)), jnp.zeros(len(layout.schema.command))
+    response = jax.jacfwd(lambda u: simulator.step(phi, rest[0], u))(rest[1])
+    kept = []
+    for i, field in enumerate(layout.schema.command):
+        driven = layout.velocity[layout.command == i]
+        follows = field.kind == "velocity" and len(driven) and driven[0] >= 0
+        kept.append(1 - response[driven[0], i] if follows else 1.0)
+    return jnp.clip(-jnp.log(jnp.maximum(jnp.array(kept), np.exp(-AT_ONCE))), NEVER, AT_ONCE)
+
+
+def _beyond_one(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """(exp(x) - 1) / x - 1, by its series where that is rounding."""
+    away = jnp.where(jnp.abs(x) < 0.1, 0.1, x)
+    return jnp.where(jnp.abs(x) < 0.1, x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, jnp.expm1(away) / away - 1)
+
+
+def _delay(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
+    """u(t - d), d = c rows: first still the older of two rows' commands."""
+    whole = jnp.floor(c[0])
+    share = jnp.expm1(memory.fading * (c[0] - whole)) / jnp.expm1(memory.fading)
+    for k, (newer, older) in enumerate(zip([u, *memory.commands[:-1]], memory.commands, strict=True)):
+        u = u + jnp.where(k < whole, 1.0, jnp.where(k == whole, share, 0.0)) * (older - newer)
+    return u
+
+
+def _quantization(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """Multiples of the step c."""
     step = jnp.where(c[0] > 0, c[0], 1.0)
     return jnp.where(c[0] > 0, jnp.round(u / step) * step, u)
 
 
-def _deadband(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def _deadband(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """Nothing below the width c, the rest shifted by it."""
     return u - jnp.clip(u, -c[0], c[0])
 
 
-def _backlash(c: Float[Array, "1 u"], u: _U, z: _U) -> tuple[_U, _U]:
+def _backlash(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U) -> tuple[_U, _U]:
     """Play of gap c: the output is dragged along at the gap's ends."""
     z = jnp.clip(z, u - c[0] / 2, u + c[0] / 2)
     return z, z
 
 
-def _gain(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def _gain(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """(1 + c) u."""
     return u * (1 + c[0])
 
 
 def _asymmetric_gain(side: int):
-    def law(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+    def law(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
         """(1 - c) u where u has the sign of the side."""
         return u - c[0] * side * jnp.maximum(side * u, 0.0)
 
     return law
 
 
-def _gain_drift(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def _gain_drift(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """(1 + c t) u, t in minutes."""
     return u * (1 + c[0] * row.time_s / 60)
 
 
-def _saturation(c: Float[Array, "1 u"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def _saturation(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """u within +-1/c."""
     return u / jnp.maximum(1.0, jnp.abs(u) * c[0])
 
 
-def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U) -> tuple[_U, _U]:
-    """A ramp from z towards u by 1/c a row: where it ends, and its mean over the row, which acts.
+def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U) -> tuple[_U, _U]:
+    """A ramp from z towards u by 1/c a row: where it ends, and what it amounts to over the row, which acts.
 
     Both are u less a share of its change, so that without a limit they are u exactly.
     """
     change = u - z
     rows = jnp.abs(change) * c[0]
     ended = jnp.maximum(rows, 1.0)
-    return u - change * (1 - 1 / ended), u - change * jnp.where(rows < 1, rows / 2, 1 - 0.5 / ended)
+    missed = lambda rows: _beyond_one(fading * rows) / jnp.expm1(fading)  # noqa: E731 # by a ramp of less than a row
+    share = jnp.where(rows < 1, missed(jnp.minimum(rows, 1.0)), 1 - (1 - missed(1.0)) / ended)
+    return u - change * (1 - 1 / ended), u - change * share
 
 
-def _lag(c: Float[Array, "1 u"], u: _U, z: _U) -> tuple[_U, _U]:
-    """First-order response with memory c = exp(-time step / time constant)."""
-    z = c[0] * z + (1 - c[0]) * u
-    return z, z
+def _lag(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U) -> tuple[_U, _U]:
+    """First-order response with a time constant of c rows: where it ends, and what it amounts to over the row."""
+    rate = 1 / jnp.maximum(c[0], 1e-6)
+    missed = jnp.where(c[0] > 0, (1 + _beyond_one(fading - rate)) / (1 + _beyond_one(fading)), 0.0)
+    return u + jnp.where(c[0] > 0, jnp.exp(-rate), 0.0) * (z - u), u - missed * (u - z)
 
 
 def _pairs(layout: Layout) -> list[tuple[int, int]]:
@@ -98,7 +133,7 @@ def _pair_sites(layout: Layout) -> tuple[Site, ...]:
     )
 
 
-def _cross_axis(c: Float[Array, "1 n"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def _cross_axis(c: Float[Array, "1 n"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """u_j + c u_i."""
     leak = jnp.zeros_like(u)
     for k, (i, j) in enumerate(_pairs(layout)):
@@ -118,7 +153,7 @@ def _planar_sites(layout: Layout) -> tuple[Site, ...]:
     )  # fmt: skip
 
 
-def _misalignment(c: Float[Array, "1 n"], u: _U, past: Array, row: Row, layout: Layout) -> _U:
+def _misalignment(c: Float[Array, "1 n"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """Horizontal commands turned by the angle c."""
     for k, b in enumerate(_planar(layout)):
         ix, iy = (int(i) for i in layout.command[b, [X, Y]])
@@ -207,9 +242,8 @@ EFFECTS = (
     ),
     Effect(
         "lag", "filter",
-        (Constant("time constant", "s", lambda c, site, scales: -scales.time_step / np.log(c) if c > 0 else 0.0, 0.0,
-                  0.97),),
-        channel_sites, _fixed(0.2, 0.5, 0.8), _lag,
+        (Constant("time constant", "s", lambda c, site, scales: c * scales.time_step, 0.0, 30.0),),
+        channel_sites, _fixed(0.6, 1.5, 4.5), _lag,
         "lag: a further first-order response with time constant {time constant} lies between command and motion",
         tie="any",
     ),

@@ -2,8 +2,7 @@
 
 A law acts at one of six places of a simulated step (see `augmented.advance`), and an augmented simulator applies all
 laws of the catalogue at all their sites, each with its constants; the bare simulator is the one with all constants
-zero. Internal constants are chosen so: a limit is held as its reciprocal, a time constant as the memory that it leaves
-after one step.
+zero. Internal constants are chosen so: a limit is held as its reciprocal.
 """
 
 from collections.abc import Callable
@@ -27,12 +26,13 @@ class Memory(NamedTuple):
     """What an augmented simulator remembers beyond the state.
 
     commands[k]: sent k + 1 rows ago. filters: what every law of place "filter" remembers, by key. states[k]: the
-    state k + 1 rows ago.
+    state k + 1 rows ago. fading: how fast a row forgets what came early in it, per command (`command_path.fading_of`).
     """
 
     commands: Float[Array, "h u"]
     filters: dict[str, Float[Array, " u"]]
     states: Float[Array, "r s"]
+    fading: Float[Array, " u"]
 
 
 class Row(NamedTuple):

@@ -91,7 +91,7 @@ class AugmentedSimulator:
         past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])
         row = Row(jnp.asarray(self.scales.duration / 2), jnp.ones(()))
         start = unsense(augmented, theta, state, row.time_s)
-        memory = remember(augmented, theta, start, past, row.time_s)
+        memory = remember(augmented, params, theta, start, past, row.time_s)
         memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
         at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
         return sense(augmented, theta, at_rest, then, row)

@@ -69,7 +69,7 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
 
     start = (
         state,
-        remember(SPOT, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())),
+        remember(SPOT, phi, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())),
         operator.init(),
         jnp.zeros(6),
     )

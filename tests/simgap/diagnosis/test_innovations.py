@@ -90,7 +90,7 @@ def test_with_true_constants_and_no_noise_innovations_vanish(key: str) -> None:
 
 def test_several_effects_at_once_leave_nothing_either() -> None:
     constants = {
-        **acting("delay", (1.3,), (0, 1, 2)), **acting("lag", (0.4,), (3, 4, 5)), **acting("saturation", (1.6,)),
+        **acting("delay", (1.3,), (0, 1, 2)), **acting("lag", (1.1,), (3, 4, 5)), **acting("saturation", (1.6,)),
         **acting("coulomb_friction", (0.03,), (0, 1)), **acting("gravity_sag", (0.05,)),
         **acting("slope", (0.05, 0.02)), **acting("ground_contact", (0.85,)),
         **acting("integration_rule", (0.5,), (0, 1)),
@@ -108,7 +108,7 @@ def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
     (e,) = (i for i, effect in enumerate(CATALOGUE) if effect.key == "sampling_interval.stamped")
     on = jnp.zeros(len(augmented.slots)).at[augmented.index[Slot(e, 0, 0)]].set(1.0)
     state, states = jnp.zeros(2), [np.zeros(2)]
-    memory = remember(augmented, on, state, jnp.zeros((HISTORY_ROWS + 1, 1)), jnp.zeros(()))
+    memory = remember(augmented, phi, on, state, jnp.zeros((HISTORY_ROWS + 1, 1)), jnp.zeros(()))
     still = measure(augmented, [Recording("a", time_s, np.zeros((100, 2)), command)])
     for t in range(99):
         row = Row(jnp.asarray(time_s[t]), jnp.asarray(interval[t], jnp.float32))

@@ -24,7 +24,7 @@ def case(key: str, constants: tuple[float, ...], sites: tuple[int, ...] = (0,), 
 BASE, ARM = (0, 1, 2), (3, 4, 5)
 CASES = [
     case("delay", (1.4,), BASE),
-    case("lag", (0.5,), ARM),
+    case("lag", (1.4,), ARM),
     case("rate_limit", (1 / 0.06,)),
     case("saturation", (1 / 0.6,)),
     case("deadband", (0.12,), (1,)),
@@ -128,7 +128,7 @@ def test_a_wrong_parameter_is_refitted_and_no_effect_is_claimed() -> None:
 @pytest.mark.parametrize(
     ("key", "constants", "sites"),
     [
-        ("delay", (0.25,), ARM), ("lag", (0.2,), ARM),
+        ("delay", (0.25,), ARM), ("lag", (0.6,), ARM),
         ("saturation", (1 / 0.9,), (0,)), ("quadratic_drag", (0.08,), (0,)),
         ("gain", (-0.2,), (2,)),
     ],

@@ -17,6 +17,7 @@ from examples.drive import DRIVE
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE, resistance
 from simgap.effects.augmented import Augmented, Slot, advance, follow, sense, unsense
+from simgap.effects.command_path import fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Step
 from simgap.layout import motion
 from simgap.simulators.spot import Spot
@@ -69,11 +70,18 @@ def scene(robot: str, seed: int) -> tuple[Memory, jnp.ndarray, jnp.ndarray]:
     s, u = sizes(robot)
     rng = np.random.default_rng(seed)
     draw = lambda *shape: jnp.asarray(rng.normal(size=shape), jnp.float32)  # noqa: E731
-    return Memory(draw(HISTORY_ROWS, u), {k: draw(u) for k in filters(robot)}, draw(SENSED_ROWS, s)), draw(s), draw(u)
+    memory = Memory(draw(HISTORY_ROWS, u), {k: draw(u) for k in filters(robot)}, draw(SENSED_ROWS, s), forgets(robot))
+    return memory, draw(s), draw(u)
+
+
+@cache
+def forgets(robot: str) -> jnp.ndarray:
+    return fading_of(ROBOTS[robot].simulator, ROBOTS[robot].layout, jnp.asarray(PHI[robot]))
 
 
 def at_rest(robot: str) -> tuple[Memory, jnp.ndarray, jnp.ndarray]:
-    return jax.tree.map(jnp.zeros_like, scene(robot, 0))
+    memory, state, command = jax.tree.map(jnp.zeros_like, scene(robot, 0))
+    return memory._replace(fading=forgets(robot)), state, command
 
 
 def filters(robot: str) -> list[str]:
@@ -383,12 +391,13 @@ def test_a_slope_is_about_the_world() -> None:
 # Closed forms, on the drive's one command
 
 
-def followed(key: str, constant: float, commands: list[float], before: float = 0.0) -> np.ndarray:
-    """The command that acts in every row; `before`: what was sent and followed until then."""
+def followed(key: str, constant: float, commands: list[float], before: float = 0.0, rate: float = 1e-6) -> np.ndarray:
+    """The command that acts in every row; `before`: what was sent and followed until then; `rate`: of forgetting."""
     (effect,) = (e for e in CATALOGUE if e.key == key)
     augmented, c = ROBOTS["drive"], theta("drive", effect, [constant], [0])
     past = jnp.full((HISTORY_ROWS, 1), before)
-    memory = Memory(past, dict.fromkeys(filters("drive"), past[0]), jnp.zeros((SENSED_ROWS, 2)))
+    fades = jnp.array([rate], jnp.float32)
+    memory = Memory(past, dict.fromkeys(filters("drive"), past[0]), jnp.zeros((SENSED_ROWS, 2)), fades)
     acted = []
     for i, u in enumerate(commands):
         row = Row(jnp.array(30.0 * i), jnp.ones(()))
@@ -409,7 +418,8 @@ def followed(key: str, constant: float, commands: list[float], before: float = 0
         ("backlash", 0.2, [0.3, 0.5, 0.45, 0.35, 0.0, 0.05], [0.2, 0.4, 0.4, 0.4, 0.1, 0.1]),
         ("quantization", 0.25, [0.1, 0.2, 0.4, -0.3, -0.4], [0.0, 0.25, 0.5, -0.25, -0.5]),
         ("rate_limit", 1 / 0.2, [1.0, 1.0, 1.0, 0.3, 0.35, -1.0], [0.1, 0.3, 0.5, 0.5, 0.35625, 0.25]),
-        ("lag", 0.5, [1.0, 1.0, 0.0, -1.0], [0.5, 0.75, 0.375, -0.3125]),
+        # With 2 rows: exp(-1/2) of what is missing after a row, over the row 2 (1 - exp(-1/2)) of it.
+        ("lag", 2.0, [1.0, 1.0, 0.0], [0.213061, 0.522698, 0.497440]),
         ("gain", -0.2, [1.0, -0.5], [0.8, -0.4]),
         ("asymmetric_gain.negative", 0.3, [1.0, -0.5], [1.0, -0.35]),
         ("asymmetric_gain.positive", 0.3, [1.0, -0.5], [0.7, -0.5]),
@@ -418,6 +428,41 @@ def followed(key: str, constant: float, commands: list[float], before: float = 0
 )
 def test_commands_by_hand(key: str, constant: float, commands: list[float], expected: list[float]) -> None:
     np.testing.assert_allclose(followed(key, constant, commands), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("memory", [0.05, 0.4, 0.8])
+@pytest.mark.parametrize(("key", "constant"), [("delay", 0.3), ("delay", 1.6), ("rate_limit", 2.5), ("rate_limit", 0.7),
+                                               ("lag", 0.2), ("lag", 1.7)])  # fmt: skip
+def test_what_acts_leads_a_joint_to_where_the_changing_command_does(key: str, constant: float, memory: float) -> None:
+    """A joint with v' = -ln(memory) (u(t) - v), t in rows, in a thousand steps a row."""
+    sent, parts = [0.3, 1.0, -0.4, -0.5, 0.2], 1000
+    rate = -np.log(memory)
+    times = (np.arange(len(sent) * parts) + 0.5) / parts
+    now = np.repeat(sent, parts)
+    if key == "delay":
+        u = np.array([sent[int(t - constant)] if t >= constant else 0.0 for t in times])
+    else:
+        u, at = np.zeros(len(now)), 0.0
+        for i, goal in enumerate(now):
+            step = goal - at
+            step = np.clip(step, -1 / constant / parts, 1 / constant / parts) if key == "rate_limit" else step
+            step = step * -np.expm1(-1 / constant / parts) if key == "lag" else step
+            u[i], at = at + step / 2, at + step
+    v, expected = 0.0, []
+    for i, each in enumerate(u):
+        v = each + (v - each) * np.exp(-rate / parts)
+        if (i + 1) % parts == 0:
+            expected.append(v)
+    v, reached = 0.0, []
+    for acts in followed(key, constant, sent, rate=rate):
+        v = memory * v + (1 - memory) * acts
+        reached.append(v)
+    np.testing.assert_allclose(reached, expected, atol=5e-4)
+
+
+def test_how_fast_a_row_is_forgotten_is_the_simulators() -> None:
+    np.testing.assert_allclose(forgets("spot"), -np.log(PHI["spot"][:6]), rtol=1e-5)
+    np.testing.assert_allclose(forgets("drive"), 0.0, atol=1e-5)  # of a force nothing
 
 
 def test_dead_time_comes_before_the_actuators() -> None:
@@ -431,7 +476,7 @@ def test_dead_time_comes_before_the_actuators() -> None:
 @pytest.mark.parametrize(
     ("key", "constants", "expected"),
     [
-        ("delay", [1.5], 0.03), ("lag", [np.exp(-0.02 / 0.1)], 0.1), ("rate_limit", [1 / 0.2], 10.0),
+        ("delay", [1.5], 0.03), ("lag", [5.0], 0.1), ("rate_limit", [1 / 0.2], 10.0),
         ("saturation", [4.0], 0.25), ("gain", [-0.15], 0.85), ("asymmetric_gain.negative", [0.3], 0.7),
         ("sampling_interval.constant", [0.1], 0.022), ("sensor_delay", [0.5], 0.01), ("sensor_scale", [0.05], 1.05),
     ],
@@ -487,7 +532,7 @@ def test_the_clock_is_off_by_thirty_percent_at_most() -> None:
 def test_sensors_by_hand() -> None:
     augmented = ROBOTS["drive"]
     past = jnp.array([[2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
-    memory = Memory(jnp.zeros((HISTORY_ROWS, 1)), {}, past)
+    memory = Memory(jnp.zeros((HISTORY_ROWS, 1)), {}, past, forgets("drive"))
     state, row = jnp.array([1.0, 10.0]), Row(jnp.asarray(30.0), jnp.ones(()))
     keys = {e.key: e for e in CATALOGUE}
 
