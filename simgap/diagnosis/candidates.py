@@ -85,17 +85,15 @@ def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int,
     """Single sites, sites of one family or branch of it, and all sites; they share a constant only with its unit."""
     found: dict[tuple[int, ...], str] = {(s,): site.name for s, site in enumerate(sites)}
     if effect.tie != "never":
-        families = dict.fromkeys(site.family for site in sites)
-        sets = [(f, tuple(s for s, site in enumerate(sites) if site.family == f)) for f in families]
-        for family, branch in dict.fromkeys((site.family, site.branch) for site in sites if site.branch):
-            members = tuple(s for s, site in enumerate(sites) if (site.family, site.branch) == (family, branch))
-            sets.append((f"{family} {branch}", members))
-        if effect.tie == "any":
-            sets.append(("all", tuple(range(len(sites)))))
-        for name, members in sets:
+        sets: dict[str, list[int]] = {}
+        for s, site in enumerate(sites):
+            branch = [f"{site.family} {site.branch}"] if site.branch else []
+            for name in (site.family, *branch, *(["all"] if effect.tie == "any" else [])):
+                sets.setdefault(name, []).append(s)
+        for name, members in sets.items():
             units = dict.fromkeys(sites[s].unit for s in members)
             alike = [tuple(s for s in members if sites[s].unit == u) for u in units]
-            for part in [members] if effect.tie == "any" else alike:
+            for part in [tuple(members)] if effect.tie == "any" else alike:
                 label = name if len(part) == len(members) else ", ".join(sites[s].name for s in part)
                 found.setdefault(part, label)
     return [(where, members) for members, where in found.items() if members]

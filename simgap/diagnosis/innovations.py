@@ -155,11 +155,11 @@ _Rows = Float[Array, "T-1 s"]
 
 
 def _chunk(
-    augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, alone: Theta | None = None
+    augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, other: Theta | None = None
 ) -> tuple[_Rows, _Rows]:
     """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations.
 
-    With `alone`, each innovation is what it would be, had that step alone been taken with these constants.
+    With `other` constants, each innovation is what it would be, had that step alone been taken with these.
     """
     K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
     at_start = v.theta + chunk.gate[0] * v.gated
@@ -177,7 +177,7 @@ def _chunk(
             return after, foretold, wrap(augmented, y_next - seen)
 
         after, foretold, e = step(v.theta)
-        told = e if alone is None else step(alone)[2]
+        told = e if other is None else step(other)[2]
         return (after, corrected(augmented.layout, K, foretold, e)), (x, told)
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
