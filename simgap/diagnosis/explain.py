@@ -22,6 +22,8 @@ from simgap.types import Recording, StepModel
 
 EXPLAINED = 0.5
 """Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
+LIKELY = 0.3
+"""Probability below which a name is but one of many: three as likely as each other may still be a credible set."""
 
 
 class Explanation(NamedTuple):
@@ -49,8 +51,11 @@ class Explanation(NamedTuple):
     def names(self, member: Member) -> bool:
         """Whether an effect explains its outputs, rather than being the nearest word for something else.
 
-        A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do.
+        A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do;
+        and what many names fit alike is likely something that has none.
         """
+        if member.odds[member.candidate.effect.id] < LIKELY:
+            return False
         share = named_share(self.problem.augmented.layout, self.fit, member.without, self.left)
         return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
 
