@@ -99,7 +99,9 @@ def explain(
         before = problem._replace(chunks=cut(baseline, time_step, least=len(chunks.row)))
         # No session of the baseline is held out.
         known = search(before, evaluate(before, as_is.v, ()), throughout, lambda *_: True, rng, say).model.fit
-        as_is = evaluate(problem, known.v, known.groups)
+        # Few sessions may say so little of parameters and gain that these explode on the others.
+        left = known.v, as_is.v._replace(theta=known.v.theta)
+        as_is = max((evaluate(problem, v, known.groups) for v in left), key=lambda fit: fit.loglik)
         # Each is measured beside its twin: what both have and the baseline alone was too short to show is no change.
         hypotheses = [changed(c) for c in throughout]
 

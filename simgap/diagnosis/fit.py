@@ -27,6 +27,8 @@ THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
 NARROW = 1e-9
 """Added to bounds, which must not touch."""
+ROUNDING = 1e-6
+"""Least curvature of a Hessian with a diagonal of ones; what lies below, or below zero, is the products' rounding."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Of a Gauss-Newton step, tried one after the other, until one"""
 ENOUGH = 0.5
@@ -321,7 +323,6 @@ def gauss_newton(
     upper = np.hstack([np.tensordot(level, held.gram, 1), by_held[:k].T])
     hessian = np.vstack([upper, np.hstack([by_held[:k], by_renewed[:k]])]).astype(np.float64) + np.diag(precision)
     gradient = np.concatenate([by_held[k], by_renewed[k]]).astype(np.float64) + precision * offset
-    hessian += 1e-6 * np.diag(np.diag(hessian)) + 1e-9 * np.eye(len(hessian))
     if not np.isfinite(hessian).all():
         return fit
     delta = lowest(hessian, gradient, *_room(problem, fit.v, fit.groups))
@@ -361,8 +362,11 @@ def lowest(
 
     Were an unbounded step cut to them afterwards, what is at no bound would have gone along with what is, for nothing.
     """
-    root = np.linalg.cholesky(hessian)
-    return lsq_linear(root.T, -np.linalg.solve(root, gradient), (down - NARROW, up + NARROW), method="bvls").x
+    scale = np.sqrt(np.diag(hessian))
+    curvature, axes = np.linalg.eigh(hessian / np.outer(scale, scale))
+    root = np.sqrt(np.maximum(curvature, ROUNDING))
+    target = -(axes.T @ (gradient / scale)) / root
+    return lsq_linear(root[:, None] * axes.T * scale, target, (down - NARROW, up + NARROW), method="bvls").x
 
 
 def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:

@@ -124,6 +124,13 @@ def test_a_step_ends_where_its_quadratic_is_lowest_within_bounds() -> None:
     )
 
 
+def test_a_direction_that_rounding_has_bent_down_is_gone_along_within_bounds() -> None:
+    """Two directions that are one: in 32 bits their products may have a negative curvature."""
+    hessian, gradient = np.array([[1.0, 1 + 1e-7], [1 + 1e-7, 1.0]]), np.array([-1.0, -1.0])
+    step = lowest(hessian, gradient, np.full(2, -5.0), np.full(2, 5.0))
+    assert step.sum() == pytest.approx(1.0, abs=1e-5)
+
+
 # Derivatives
 
 
