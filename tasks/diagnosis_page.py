@@ -236,7 +236,7 @@ def _colour_scale(top: float) -> str:
 
 def _what(diagnosis: Values, evidence: Values) -> str:
     effects, laws = diagnosis.get("effects") or [], evidence.get("laws") or []
-    parts = [_card(effect, [law for law in laws if law["effect"] == effect["id"]]) for effect in effects]
+    parts = [_card(effect, [law for law in laws if _shows(law, effect)]) for effect in effects]
     if not effects:
         parts.append(f"<p>{escape(_NO_EFFECTS.get(str(diagnosis['verdict']), 'No effect was found.'))}</p>")
     return "".join(parts) + _nearest(diagnosis.get("resembles") or []) + _left_over(diagnosis.get("left_over") or {})
@@ -266,6 +266,11 @@ def _left_over(left: Values) -> str:
         f"<p>Noise cannot be foretold, but of what this leaves over the rows before foretell {shares} "
         f"({_fixed(left.get('nats'), 0)} nats): there is more than what is named.</p>"
     )
+
+
+def _shows(law: Values, effect: Values) -> bool:
+    """Whether a picture is of this effect; there may be others of its id, elsewhere."""
+    return law["effect"] == effect["id"] and all(law.get(key) == effect.get(key) for key in ("form", "where"))
 
 
 def _card(effect: Values, laws: Sequence[Values]) -> str:

@@ -23,7 +23,8 @@ SHOWN_S = 12.0
 
 def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
     """Pictures of one effect: what it explains, against what the robot does; and how sharply its constant is told."""
-    return [*_explained(problem, fit, candidate, found), *_profile(problem, fit, candidate)]
+    shown = {"effect": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where}
+    return [shown | p for p in (*_explained(problem, fit, candidate, found), *_profile(problem, fit, candidate))]
 
 
 def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
@@ -44,7 +45,6 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
         return []
     centre = [float(x[m].mean()) for m in members]
     return [{
-        "effect": candidate.effect.id,
         "title": f"What it explains of {field.name}",
         "x_label": f"{found.names[best]} [{found.units[best]}]",
         "y_label": f"change a row the simulator misses [{field.unit}]",
@@ -78,7 +78,7 @@ def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
     keep = np.isfinite(loglik) & np.isfinite(x)
     order = np.argsort(np.array(x)[keep])
     return [{
-        "effect": candidate.effect.id, "title": f"How sharply the {constant.name} is told",
+        "title": f"How sharply the {constant.name} is told",
         "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood less its best [nats]",
         "x": [], "y": [], "y_err": [],
         "line_x": np.array(x)[keep][order].tolist(), "line_y": (loglik - loglik.max())[keep][order].tolist(),

@@ -36,7 +36,7 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row:
     delay = jnp.zeros(len(layout.schema.state))
     for k, (_, members) in enumerate(_sensors(layout)):
         delay = jnp.where(np.isin(np.arange(len(delay)), members), c[0, k], delay)
-    # As one array, reduced, it takes XLA ten times as long: see the command's delay.
+    # A sum in Python: as one array, reduced, it takes XLA ten times as long.
     since = (jnp.maximum(0.0, 1 - jnp.abs(k - delay)) * wrapped(layout, then - state) for k, then in enumerate(past, 1))
     return state + sum(since)
 

@@ -287,6 +287,16 @@ def test_pictures_show_strips_laws_rollouts_and_commands(pages: dict[str, str]) 
     assert "At zero throughout" in text(pages["missing_physics"])
 
 
+def test_effects_of_one_id_show_each_its_own_pictures() -> None:
+    diagnosis, evidence = missing_physics()
+    effect, law = diagnosis["effects"][0], evidence["laws"][0]
+    diagnosis["effects"] = [effect | {"form": "", "where": where} for where in ("base", "ee")]
+    evidence["laws"] = [law | {"form": "", "where": where, "title": f"Of the {where}"} for where in ("ee", "base")]
+    said = text(page(diagnosis, evidence))
+    assert said.count("Of the base") == said.count("Of the ee") == 1
+    assert said.index("Of the base") < said.index("Of the ee")
+
+
 def test_nothing_missing_says_so_in_every_section(pages: dict[str, str]) -> None:
     said = text(pages["nothing"])
     for words in ("Nothing is missing", "No output, regime or time stands out",
