@@ -48,11 +48,17 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
         "title": f"What it explains of {field.name}",
         "x_label": f"{found.names[best]} [{found.units[best]}]",
         "y_label": f"change a row the simulator misses [{field.unit}]",
-        "x": centre, "y": [float(y[m].mean()) for m in members],
-        "y_err": [float(1.96 * y[m].std() / np.sqrt(len(m))) for m in members],
-        "line_x": centre, "line_y": [float(law[m, output].mean()) for m in members],
-        "caption": "Dots: measured, without the effect (mean and 95 % interval). Line: what the law says there.",
+        "x": centre, "y": [float(np.median(y[m])) for m in members],
+        "y_err": [_error_of_median(y[m]) for m in members],
+        "line_x": centre, "line_y": [float(np.median(law[m, output])) for m in members],
+        "caption": "Dots: measured, without the effect (median and 95 % interval). Line: what the law says there.",
     }]  # fmt: skip
+
+
+def _error_of_median(y: np.ndarray) -> float:
+    """Half of its 95 % interval. Odd rows, which hardly count in the fit, would decide a mean and its interval."""
+    spread = 1.4826 * np.median(np.abs(y - np.median(y)))
+    return float(1.96 * np.sqrt(np.pi / 2) * spread / np.sqrt(len(y)))
 
 
 def _told_by(x: np.ndarray, y: np.ndarray) -> float:
