@@ -37,21 +37,21 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
     output = int(np.argmax((law**2).mean(0) / noise**2))
     field = problem.augmented.simulator.schema.state[output]
     best = max(range(len(found.names)), key=lambda k: _told_by(found.features[:, k], law[:, output]))
-    x, y = found.features[:, best], np.clip(raw[0][:, output], *np.quantile(raw[0][:, output], [0.002, 0.998]))
+    x, y, left = found.features[:, best], law[:, output], raw[1][:, output]
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in pairwise(edges)]
     members = [m for m in members if len(m) > 5]
     if len(members) < 3:
         return []
-    centre = [float(x[m].mean()) for m in members]
+    centre, line = [float(x[m].mean()) for m in members], [float(y[m].mean()) for m in members]
     return [{
         "title": f"What it explains of {field.name}",
         "x_label": f"{found.names[best]} [{found.units[best]}]",
         "y_label": f"change a row the simulator misses [{field.unit}]",
-        "x": centre, "y": [float(np.median(y[m])) for m in members],
-        "y_err": [_error_of_median(y[m]) for m in members],
-        "line_x": centre, "line_y": [float(np.median(law[m, output])) for m in members],
-        "caption": "Dots: measured, without the effect (median and 95 % interval). Line: what the law says there.",
+        "x": centre, "y": [at + float(np.median(left[m])) for at, m in zip(line, members, strict=True)],
+        "y_err": [_error_of_median(left[m]) for m in members],
+        "line_x": centre, "line_y": line,
+        "caption": "Line: what the law says there. Dots: with the median of what it leaves over (95 % interval).",
     }]  # fmt: skip
 
 
