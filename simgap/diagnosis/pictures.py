@@ -28,10 +28,9 @@ def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> lis
 
 
 def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
-    """Unexplained change of the output most concerned, without the effect (dots) and as the law has it (line)."""
+    """Change of the output most concerned that the effect brings (line), and with what is left over of it (dots)."""
     without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
-    raw = [counted(problem.chunks, raw_innovations(problem, v))
-           for v in (without, fit.v)]  # fmt: skip
+    raw = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
     law = raw[0] - raw[1]
     noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
     output = int(np.argmax((law**2).mean(0) / noise**2))

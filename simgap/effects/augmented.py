@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
-from simgap.effects.command_path import fading_of
+from simgap.effects.command_path import NEVER, fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
 from simgap.layout import Layout, Motion, carried_velocity, motion, push, substituted
 from simgap.types import StepModel
@@ -132,7 +132,9 @@ def remember(
     sent = past[::-1]
     first = sent[HISTORY_ROWS - 1 :: -1]
     states = jnp.tile(state, (SENSED_ROWS, 1))
-    row, forgets = Row(time_s, jnp.ones(())), fading_of(augmented.simulator, augmented.layout, phi)
+    row = Row(time_s, jnp.ones(()))
+    on_the_way = augmented.laws(theta, active, "command", "filter")
+    forgets = fading_of(augmented.simulator, augmented.layout, phi) if on_the_way else jnp.full_like(past[0], NEVER)
 
     def run(memory: Memory, commands: Float[Array, "n u"]) -> Memory:
         return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
