@@ -120,6 +120,9 @@ def law(fitted: Values) -> bytes:
     ax.errorbar(x, y, None if error is None else _numbers(error), fmt="o", color=INK, ecolor="#a9afb8", ms=3.5, lw=1)
     ax.plot(_numbers(fitted["line_x"]), _numbers(fitted["line_y"]), color=COLOURS["augmented"], lw=2, zorder=3)
     ax.set(xlabel=str(fitted["x_label"]), ylabel=str(fitted["y_label"]))
+    if fitted.get("y_scale") == "log":
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
     ax.grid(True)
     return _svg(figure)
 

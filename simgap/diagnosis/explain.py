@@ -12,7 +12,8 @@ from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.rivals import Member, defend, outshone
-from simgap.diagnosis.scatter import Scatter, scatter
+from simgap.diagnosis.scatter import scatter
+from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed

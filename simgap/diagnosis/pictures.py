@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from simgap.diagnosis.candidates import Candidate, unit_of
 from simgap.diagnosis.experiment import Experiment
@@ -35,23 +36,37 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
     noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
     output = int(np.argmax((law**2).mean(0) / noise**2))
     field = problem.augmented.simulator.schema.state[output]
-    best = max(range(len(found.names)), key=lambda k: _told_by(found.features[:, k], law[:, output]))
-    x, y, left = found.features[:, best], law[:, output], raw[1][:, output]
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
-    members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in pairwise(edges)]
-    members = [m for m in members if len(m) > 5]
+    features, names, units = _features(problem, found)
+    best = max(range(len(names)), key=lambda k: _told_by(features[:, k], law[:, output]))
+    x, y, left = features[:, best], law[:, output], raw[1][:, output]
+    members = binned(x)
     if len(members) < 3:
         return []
     centre, line = [float(x[m].mean()) for m in members], [float(y[m].mean()) for m in members]
     return [{
         "title": f"What it explains of {field.name}",
-        "x_label": f"{found.names[best]} [{found.units[best]}]",
-        "y_label": f"change a row the simulator misses [{field.unit}]",
+        "x_label": f"{names[best]} [{units[best]}]",
+        "y_label": f"missed by the simulator [{field.unit}]",
         "x": centre, "y": [at + float(np.median(left[m])) for at, m in zip(line, members, strict=True)],
         "y_err": [_error_of_median(left[m]) for m in members],
         "line_x": centre, "line_y": line,
         "caption": "Line: what the law says there. Dots: with the median of what it leaves over (95 % interval).",
     }]  # fmt: skip
+
+
+def _features(problem: Problem, found: Excess) -> tuple[np.ndarray, list[str], list[str]]:
+    """What regimes are told by, and how much each command has changed: late and slow ones show in that."""
+    fields, sent = problem.augmented.simulator.schema.command, np.asarray(problem.chunks.command)
+    changes = np.diff(sent, axis=1, prepend=sent[:, :1])[:, :-1][np.asarray(problem.chunks.counts)]
+    names, units = [f"change of {f.name} in a row" for f in fields], [f.unit for f in fields]
+    return np.hstack([found.features, changes]), [*found.names, *names], [*found.units, *units]
+
+
+def binned(x: Float[np.ndarray, " n"]) -> list[np.ndarray]:
+    """Rows of equally many values each, in order; of those bins that have some."""
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+    members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in pairwise(edges)]
+    return [m for m in members if len(m) > 5]
 
 
 def _error_of_median(y: np.ndarray) -> float:

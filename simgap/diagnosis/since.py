@@ -12,7 +12,8 @@ from simgap.diagnosis.fit import Fit, Problem, evaluate, nuisance_columns
 from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.judge import LEAST_SESSIONS
 from simgap.diagnosis.left_over import LeftOver, by_row, left_over
-from simgap.diagnosis.scatter import Scatter, scatter
+from simgap.diagnosis.scatter import scatter
+from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEVEL, Model, Tried
 from simgap.diagnosis.when import When, rows_of
 from simgap.types import Recording

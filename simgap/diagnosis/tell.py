@@ -13,7 +13,7 @@ from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.left_over import LeftOver, left_over
 from simgap.diagnosis.rivals import Member
-from simgap.diagnosis.scatter import Scatter
+from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.since import leaves
 from simgap.effects import CATALOGUE
 from simgap.types import Recording
@@ -21,6 +21,8 @@ from simgap.types import Recording
 SEEN = 8.0
 """Nats that an effect of usual strength must be able to gain for the recordings to show it."""
 CREDIBLE = 0.95
+SCATTERED = {"form": "scatter", "where": "all"}
+"""Of every effect on the scatter."""
 MISMATCH = ("missing_physics", "unexplained")
 """Verdicts with something to locate."""
 
@@ -99,7 +101,8 @@ def evidence(
     return {
         "heat": locate.heat(problem.augmented, trained),
         "strips": [*locate.strips(trained, sessions.fitted, False), *locate.strips(held, sessions.heldout, True)],
-        "laws": [p for m in found.members for p in pictures.laws(problem, found.fit, m.candidate, trained)],
+        "laws": [p for m in found.members for p in pictures.laws(problem, found.fit, m.candidate, trained)]
+        + [SCATTERED | {"effect": s.id} | p for s in found.scattered for p in s.pictures],
         "rollouts": pictures.rollouts(problem, longest, contestants),
         "experiment": plan and pictures.commands(problem, plan.experiment),
     }
@@ -195,7 +198,7 @@ def _depends_on(
 
 def _scattered(s: Scatter) -> dict[str, Any]:
     return {
-        "id": s.id, "form": "scatter", "where": "all", "probability": 1.0, "channels": [], "outputs": list(s.outputs),
+        "id": s.id, **SCATTERED, "probability": 1.0, "channels": [], "outputs": list(s.outputs),
         "statement": s.statement, "constants": s.constants, "credible_set": [s.id], "gain_nats": s.gain,
         "heldout_gain_nats": s.heldout_gain, "from_s": None,
     }  # fmt: skip
