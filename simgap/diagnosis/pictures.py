@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -14,6 +15,7 @@ from simgap.diagnosis.innovations import RUN_IN, Chunks
 from simgap.diagnosis.judge import Contestant, forecasts
 from simgap.diagnosis.locate import Excess
 from simgap.diagnosis.screen import vary
+from simgap.layout import rotated
 from simgap.types import Recording
 
 BINS = 16
@@ -31,11 +33,16 @@ def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> lis
 def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
     """Change of the output most concerned that the effect brings (line), and with what is left over of it (dots)."""
     without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
-    raw = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
+    layout, state = problem.augmented.layout, counted(problem.chunks, np.asarray(problem.chunks.state)[:, :-1])
+    # In the bodies' own frames, as commands are: in the world's what they do depends on where the robot looks.
+    own = jax.vmap(lambda e, s: rotated(layout, e, s, -1.0))
+    raw = [np.asarray(own(counted(problem.chunks, raw_innovations(problem, v)), state)) for v in (without, fit.v)]
     law = raw[0] - raw[1]
     noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
     output = int(np.argmax((law**2).mean(0) / noise**2))
-    field = problem.augmented.simulator.schema.state[output]
+    field = layout.schema.state[output]
+    unit = jnp.eye(len(law[0]))[output]
+    frame = ", in its own frame" if (rotated(layout, unit, jnp.ones_like(unit), 1.0) != unit).any() else ""
     features, names, units = _features(problem, found)
     best = max(range(len(names)), key=lambda k: _told_by(features[:, k], law[:, output]))
     x, y, left = features[:, best], law[:, output], raw[1][:, output]
@@ -44,7 +51,7 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
         return []
     centre, line = [float(x[m].mean()) for m in members], [float(y[m].mean()) for m in members]
     return [{
-        "title": f"What it explains of {field.name}",
+        "title": f"What it explains of {field.name}{frame}",
         "x_label": f"{names[best]} [{units[best]}]",
         "y_label": f"missed by the simulator [{field.unit}]",
         "x": centre, "y": [at + float(np.median(left[m])) for at, m in zip(line, members, strict=True)],
@@ -57,9 +64,13 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
 def _features(problem: Problem, found: Excess) -> tuple[np.ndarray, list[str], list[str]]:
     """What regimes are told by, and how much each command has changed: late and slow ones show in that."""
     fields, sent = problem.augmented.simulator.schema.command, np.asarray(problem.chunks.command)
-    changes = np.diff(sent, axis=1, prepend=sent[:, :1])[:, :-1][np.asarray(problem.chunks.counts)]
-    names, units = [f"change of {f.name} in a row" for f in fields], [f.unit for f in fields]
-    return np.hstack([found.features, changes]), [*found.names, *names], [*found.units, *units]
+    columns, names, units = [found.features], list(found.names), list(found.units)
+    for rows, said in ((1, "a row"), (2, "two rows")):
+        change = sent - np.concatenate([np.repeat(sent[:, :1], rows, axis=1), sent[:, :-rows]], axis=1)
+        columns.append(counted(problem.chunks, change[:, :-1]))
+        names += [f"change of {f.name} in {said}" for f in fields]
+        units += [f.unit for f in fields]
+    return np.hstack(columns), names, units
 
 
 def binned(x: Float[np.ndarray, " n"]) -> list[np.ndarray]:
