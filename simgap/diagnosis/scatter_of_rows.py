@@ -41,6 +41,10 @@ FINER = 6
 """with so many further ones on either side of the best."""
 STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Further nominal intervals that a late row may contain."""
+SPANS = np.convolve([-1.5, -1.0, -0.5, 0.0, *STALLS, 8.0], [0.5, 0.5], "valid")
+"""Edges of a picture's bins, one about each of these, in further nominal intervals."""
+EVEN = np.arange(-1.125, 2.2, 0.25)
+"""The same where there are no such lengths."""
 JITTERS = np.geomspace(0.03, 0.6, 10)
 """Standard deviations of the rows' intervals that are tried, in nominal ones."""
 NODES = np.concatenate([[0.0], *([-z, z] for z in np.arange(0.25, 3.1, 0.25))])
@@ -221,7 +225,7 @@ def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Samp
     return _claim(
         "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True,
         constants=constants, outputs=_integrated(problem),
-        pictures=_spans(interval, several(training), training, mixture),
+        pictures=_spans(interval, several(training), training, mixture, SPANS),
         statement="Rows are not evenly spaced in time: "
         f"{share:.0%} of them hold a stall and span about {length:.2f} s of motion.",
     )  # fmt: skip
@@ -254,16 +258,16 @@ def _jitter(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample)
     return _claim(
         "sampling_interval", training, heldout, lambda s: _mixed_gain(mixtures[best], at(s, sd), noise), rare=False,
         constants=[constant], outputs=_integrated(problem),
-        pictures=_spans(interval, at(training, sd), training, mixtures[best]),
+        pictures=_spans(interval, at(training, sd), training, mixtures[best], EVEN),
         statement=f"Rows are not evenly spaced in time: the time that they span scatters by {sd * interval:.3f} s.",
     )  # fmt: skip
 
 
-def _spans(interval: float, several: list[np.ndarray], training: _Sample, mixture: _Mixture) -> list[dict[str, Any]]:
+def _spans(
+    interval: float, several: list[np.ndarray], training: _Sample, mixture: _Mixture, edges: Float[np.ndarray, " b"]
+) -> list[dict[str, Any]]:
     """Picture of the time that rows span, by how far the robot went in them."""
-    likely = np.flatnonzero(mixture.chance.sum(0) > 1)
-    furthest = max(((several[0] - several[k]) * training.advance).sum() for k in likely) / (training.advance**2).sum()
-    axis = Axis("time a row spans, by the way covered [s]", interval, interval, float(furthest) + 1)
+    axis = Axis("time a row spans, by the way covered [s]", interval, interval, edges)
     return between(several, training.advance, mixture.shares, mixture.noise, axis)
 
 
@@ -315,7 +319,7 @@ def _held(
     return _claim(
         "dropout", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True, constants=constants,
         pictures=between(several(training), training.e - training.held[i][0], mixture.shares, mixture.noise,
-                         Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, 2.0)),
+                         Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)),
         outputs=tuple(f.name for f in schema.state if f.body in bodies) if some else names,
         statement=f"Commands{of} are lost now and then ({rate:.1f} times a minute, for about {length:.2f} s), and the "
         "last one acts on.",

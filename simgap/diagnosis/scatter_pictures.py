@@ -15,20 +15,18 @@ TOLD = 0.35
 """Standard deviation with which a row must tell where it lies between two hypotheses, to be drawn."""
 FEWEST = 30
 """Rows that make a picture."""
-WIDTH = 0.25
-"""Of a bin, in distances between the two hypotheses."""
 ERROR_OF_MAD = 1.17
 """Standard error of the median absolute deviation, in scales over the root of the number."""
 
 
 class Axis(NamedTuple):
-    """Along a direction: what x is called, where the plain rows lie on it, what the direction's length is there, and
-    how many of that are drawn."""
+    """Along a direction: what x is called, where the plain rows lie on it, what the direction's length is there; and
+    edges of the bins, in such lengths from the plain rows."""
 
     label: str
     plain: float
     unit: float
-    furthest: float
+    edges: Float[np.ndarray, " b"]
 
 
 def between(
@@ -50,8 +48,7 @@ def between(
         return []
     at, *under = (((several[0] - e) * weights).sum(1)[keep] / length[keep] for e in (0 * direction, *several))
     sd = 1 / np.sqrt(length[keep])[:, None]
-    edges = np.arange(-1 - WIDTH / 2, axis.furthest + WIDTH, WIDTH)
-    rows, _ = np.histogram(at, edges)
+    edges, (rows, _) = axis.edges, np.histogram(at, axis.edges)
     expected = np.asarray(shares) @ np.stack([np.diff(norm.cdf((edges - a[:, None]) / sd)).sum(0) for a in under])
     x, seen, likely = axis.plain + axis.unit * (edges[1:] + edges[:-1]) / 2, rows > 0, expected > 0.5
     return [{

@@ -10,7 +10,7 @@ from simgap.diagnosis.scatter_pictures import FEWEST, Axis, between, spectrum, w
 from simgap.types import Field
 
 NOISE = Noise(np.array([0.5, 1.0]), np.full(2, 1e6))
-AXIS = Axis("time [s]", 0.1, 0.1, 4.0)
+AXIS = Axis("time [s]", 0.1, 0.1, np.arange(-1.125, 4.2, 0.25))
 
 
 def near_the_line(picture: dict[str, Any]) -> float:
