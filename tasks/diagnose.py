@@ -1,6 +1,5 @@
 """Stage `diagnose`: what a simulator leaves out, found in recordings, written for people and for programs."""
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -60,26 +59,16 @@ def _apart(recordings: list[Recording], others: Sequence[Recording], folder: Pat
     """Sessions that are none of the others; where names coincide, those of `folder` take its name before theirs."""
     if folder is None:
         return recordings
-    seen = {digest([r]): r.name for r in others}
+    seen = {fingerprint.of_recordings([r]): r.name for r in others}
     for r in recordings:
-        if digest([r]) in seen:
+        if same := seen.get(fingerprint.of_recordings([r])):
             raise RecordingError(
-                f"{folder}: the session {r.name} is the session {seen[digest([r])]} of another folder; a session must "
-                "serve one purpose: to be diagnosed, to judge by, or as baseline. Put it in one of the folders only."
+                f"{folder}: the session {r.name} is the session {same} of another folder; a session must serve one "
+                "purpose: to be diagnosed, to judge by, or as baseline. Put it in one of the folders only."
             )
     if {r.name for r in recordings} & {r.name for r in others}:
         return [r._replace(name=f"{folder.resolve().name}/{r.name}") for r in recordings]
     return recordings
-
-
-def digest(recordings: Sequence[Recording]) -> str:
-    """16 hexadecimal digits that identify sessions by their numbers."""
-    mark = hashlib.sha256()
-    for recording in recordings:
-        for values in (recording.time_s, recording.state, recording.command):
-            mark.update(f"{values.shape}".encode())
-            mark.update(np.ascontiguousarray(values, np.float64).tobytes())
-    return mark.hexdigest()[:16]
 
 
 @task(task_run_name="diagnose-{name}")
@@ -124,7 +113,7 @@ def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Ses
     for purpose, recordings in sessions._asdict().items():
         if recordings:
             folder = getattr(folders, purpose, None) or folders.recordings
-            run.dataset(f"{folder.resolve().name}-{purpose}", folder, digest(recordings), purpose)
+            run.dataset(f"{folder.resolve().name}-{purpose}", folder, fingerprint.of_recordings(recordings), purpose)
 
 
 @task(task_run_name="log-{folder.name}", retries=1)

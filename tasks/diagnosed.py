@@ -13,8 +13,7 @@ from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Recording
 from tasks import files
 from tasks.cells import finished
-from tasks.diagnose import digest
-from tasks.fingerprint import of_diagnosis
+from tasks.fingerprint import of_diagnosis, of_recordings
 from tasks.workspace import Cell, Share, Workspace
 
 FITTED = 0.75
@@ -76,7 +75,7 @@ def find(
     if errors:
         raise errors[0]
     used = sessions(recordings, share)
-    mark = of_diagnosis(share, digest([*used.training, *used.heldout]), time_step, code)
+    mark = of_diagnosis(share, of_recordings([*used.training, *used.heldout]), time_step, code)
     arrays, record = workspace.augmented(share), workspace.effects(share)
     if finished(arrays, record, mark):
         say("diagnosed before")

@@ -9,7 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import simgap
+from simgap.types import Recording
 from tasks.params import PolicyParams, TrainParams
 from tasks.workspace import Cell, Share
 
@@ -73,6 +76,16 @@ def configuration_of_diagnosis(simulator: str, folders: Sequence[Path | None], s
 def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
     """Identifies what the diagnosis of a share of the recordings depends on."""
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})
+
+
+def of_recordings(recordings: Sequence[Recording]) -> str:
+    """Identifies sessions by their numbers."""
+    mark = hashlib.sha256()
+    for recording in recordings:
+        for values in (recording.time_s, recording.state, recording.command):
+            mark.update(f"{values.shape}".encode())
+            mark.update(np.ascontiguousarray(values, np.float64).tobytes())
+    return mark.hexdigest()[:16]
 
 
 def of_policy(cell: Cell, model: str, data_digest: str, params: PolicyParams, code: str) -> str:

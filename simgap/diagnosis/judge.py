@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy.special import stdtrit
 
 from simgap.diagnosis.black_box import BlackBox, silent
 from simgap.diagnosis.fit import Noise, Problem, fit_noise, log_density
@@ -168,7 +168,7 @@ def _surely_better(a: Judged, b: Judged) -> bool:
     if len(gains) < 2 or not np.isfinite(gains).all():
         return False
     error = gains.std(ddof=1) / np.sqrt(len(gains))
-    return bool(gains.mean() > stats.t.isf(LEVEL, len(gains) - 1) * error)
+    return bool(gains.mean() > stdtrit(len(gains) - 1, 1 - LEVEL) * error)
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:

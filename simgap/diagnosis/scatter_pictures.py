@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from simgap.diagnosis.fit import Noise
 from simgap.diagnosis.pictures import binned
@@ -49,7 +49,7 @@ def between(
     at, *under = (((several[0] - e) * weights).sum(1)[keep] / length[keep] for e in (0 * direction, *several))
     sd = 1 / np.sqrt(length[keep])[:, None]
     edges, (rows, _) = axis.edges, np.histogram(at, axis.edges)
-    expected = np.asarray(shares) @ np.stack([np.diff(norm.cdf((edges - a[:, None]) / sd)).sum(0) for a in under])
+    expected = np.asarray(shares) @ np.stack([np.diff(ndtr((edges - a[:, None]) / sd)).sum(0) for a in under])
     x, seen, likely = axis.plain + axis.unit * (edges[1:] + edges[:-1]) / 2, rows > 0, expected > 0.5
     return [{
         "title": "What it explains of single rows", "x_label": axis.label, "y_label": "rows", "y_scale": "log",

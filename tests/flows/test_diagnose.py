@@ -16,6 +16,7 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from examples.drive import DRIVE
 from examples.record import record
+from flows import command
 from flows.diagnose import diagnose_folder
 from simgap.types import SimgapError
 from tasks import diagnose, files
@@ -135,10 +136,19 @@ def test_the_augmented_simulator_is_a_model_in_mlflow(folder: Path, monkeypatch:
     ],
 )
 def test_wrong_input_is_explained_without_a_traceback(
-    folder: Path, prefect_server: dict[str, str], arguments: list[str], words: list[str]
-) -> None:
-    status, output = simgap(prefect_server, folder, "diagnose", *arguments)
-    assert status == 1, output
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+    prefect_server: dict[str, str], arguments: list[str], words: list[str],
+) -> None:  # fmt: skip
+    """The command, but in this process: of another one, all time would be its imports."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["simgap", "diagnose", *arguments])
+    monkeypatch.setattr(sys, "path", [*sys.path])  # the command adds the folder, for `mine`
+    served = temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]})
+    with served, pytest.raises(SystemExit) as ended:
+        command.main()
+    sys.modules.pop("mine", None)
+    output = "".join(capfd.readouterr())
+    assert ended.value.code == 1, output
     assert all(word in output for word in words), output
     assert "Traceback" not in output
     assert not (folder / "diagnosis").exists()

@@ -18,6 +18,7 @@ from simgap.effects.effect import Scales
 from simgap.types import Recording, RecordingError
 from tasks import diagnose, files
 from tasks.diagnose import Folders
+from tasks.fingerprint import of_recordings
 
 STATEMENT: dict[str, Any] = {
     "schema": 1, "simulator": "drive", "verdict": "missing_physics", "statement": "Friction of 2.5 N [sic] is missing.",
@@ -82,8 +83,8 @@ def test_unusable_sessions_are_told_and_left_out(tmp_path: Path) -> None:
 
 def test_a_digest_identifies_numbers_not_names(folders: dict[str, Path]) -> None:
     (a, b), _ = files.read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step)
-    assert diagnose.digest([a]) == diagnose.digest([a._replace(name="b")])
-    assert len({diagnose.digest(rs) for rs in ([a], [b], [a, b], [b, a])}) == 4
+    assert of_recordings([a]) == of_recordings([a._replace(name="b")])
+    assert len({of_recordings(rs) for rs in ([a], [b], [a, b], [b, a])}) == 4
 
 
 def test_what_is_written_reads_back_and_an_old_experiment_goes(tmp_path: Path) -> None:
