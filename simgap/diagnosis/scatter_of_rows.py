@@ -24,8 +24,7 @@ from simgap.diagnosis.fit import (
     row_trials,
 )
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.scatter_claim import OWED, Scatter
-from simgap.diagnosis.scatter_pictures import Axis, between, widening
+from simgap.diagnosis.scatter_claim import OWED, Axis, Between, Scatter, Widening
 from simgap.diagnosis.screen import blocks
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Slot
@@ -169,7 +168,7 @@ def _widening(
     where = "" if len(columns) == len(names) else f" of {problem.augmented.layout.bodies[k - 1]}"
     return _claim(
         "motion_dependent_noise", training, heldout, gain, rare=False, constants=[constant],
-        pictures=widening(training.e[:, columns], fitted, training.moving[:, k], 1 + c),
+        shown=Widening(training.e[:, columns], fitted, training.moving[:, k], 1 + c),
         outputs=tuple(names[i] for i in columns),
         statement=f"The scatter{where} grows with the motion: {1 + c:.1f} times as wide when moving as at rest; error "
         "bars are wrong, not means.",
@@ -225,7 +224,7 @@ def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Samp
     return _claim(
         "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True,
         constants=constants, outputs=_integrated(problem),
-        pictures=_spans(interval, several(training), training, mixture, SPANS),
+        shown=_spans(interval, several(training), training, mixture, SPANS),
         statement="Rows are not evenly spaced in time: "
         f"{share:.0%} of them hold a stall and span about {length:.2f} s of motion.",
     )  # fmt: skip
@@ -258,17 +257,17 @@ def _jitter(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample)
     return _claim(
         "sampling_interval", training, heldout, lambda s: _mixed_gain(mixtures[best], at(s, sd), noise), rare=False,
         constants=[constant], outputs=_integrated(problem),
-        pictures=_spans(interval, at(training, sd), training, mixtures[best], EVEN),
+        shown=_spans(interval, at(training, sd), training, mixtures[best], EVEN),
         statement=f"Rows are not evenly spaced in time: the time that they span scatters by {sd * interval:.3f} s.",
     )  # fmt: skip
 
 
 def _spans(
     interval: float, several: list[np.ndarray], training: _Sample, mixture: _Mixture, edges: Float[np.ndarray, " b"]
-) -> list[dict[str, Any]]:
-    """Picture of the time that rows span, by how far the robot went in them."""
+) -> Between:
+    """The time that rows span, by how far the robot went in them."""
     axis = Axis("time a row spans, by the way covered [s]", interval, interval, edges)
-    return between(several, training.advance, mixture.shares, mixture.noise, axis)
+    return Between(several, training.advance, mixture.shares, mixture.noise, axis)
 
 
 def _interval(problem: Problem) -> float:
@@ -318,8 +317,8 @@ def _held(
     of = f" of {', '.join(sorted(bodies))}" if some else ""
     return _claim(
         "dropout", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True, constants=constants,
-        pictures=between(several(training), training.e - training.held[i][0], mixture.shares, mixture.noise,
-                         Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)),
+        shown=Between(several(training), training.e - training.held[i][0], mixture.shares, mixture.noise,
+                      Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)),
         outputs=tuple(f.name for f in schema.state if f.body in bodies) if some else names,
         statement=f"Commands{of} are lost now and then ({rate:.1f} times a minute, for about {length:.2f} s), and the "
         "last one acts on.",

@@ -1,7 +1,7 @@
 """Numbers behind the pictures of effects on the scatter: each law over the data that it explains."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from simgap.diagnosis.fit import Noise
 from simgap.diagnosis.pictures import binned
+from simgap.diagnosis.scatter_claim import Axis, Between, Spectrum, Widening
 from simgap.types import Field
 
 TOLD = 0.35
@@ -19,17 +20,18 @@ ERROR_OF_MAD = 1.17
 """Standard error of the median absolute deviation, in scales over the root of the number."""
 
 
-class Axis(NamedTuple):
-    """Along a direction: what x is called, where the plain rows lie on it, what the direction's length is there; and
-    edges of the bins, in such lengths from the plain rows."""
+def picture(shown: Between | Widening | Spectrum) -> list[dict[str, Any]]:
+    """Of a law over the data that it explains; none where too few rows tell."""
+    match shown:
+        case Between():
+            return _between(*shown)
+        case Widening():
+            return _widening(*shown)
+        case Spectrum():
+            return _spectrum(*shown)
 
-    label: str
-    plain: float
-    unit: float
-    edges: Float[np.ndarray, " b"]
 
-
-def between(
+def _between(
     several: Sequence[Float[np.ndarray, "n s"]],
     direction: Float[np.ndarray, "n s"],
     shares: Float[np.ndarray, " k"],
@@ -38,8 +40,7 @@ def between(
 ) -> list[dict[str, Any]]:
     """Rows by how far their innovations lie along a direction, and how many the mixture of hypotheses has there.
 
-    `several`: innovations under each hypothesis, the plain one first, of the given shares. Rows that hardly move along
-    the direction tell nothing and are left out; a picture of too few is none.
+    Rows that hardly move along the direction tell nothing and are left out; a picture of too few is none.
     """
     weights = direction / noise.scale**2
     length = (direction * weights).sum(1)
@@ -59,7 +60,7 @@ def between(
     }]  # fmt: skip
 
 
-def widening(
+def _widening(
     e: Float[np.ndarray, "n c"], noise: Noise, moving: Float[np.ndarray, " n"], ratio: float
 ) -> list[dict[str, Any]]:
     """Scatter of rows by how fast they go, in its width at rest, and the law's line from 1 to the ratio."""
@@ -80,13 +81,10 @@ def widening(
     }]  # fmt: skip
 
 
-def spectrum(
+def _spectrum(
     power: Float[np.ndarray, " f"], level: float, k: int, segments: int, hertz: float, field: Field
 ) -> list[dict[str, Any]]:
-    """Power of an output's innovations by frequency, summed over segments, and the wave at bin k over the level around.
-
-    hertz: width of a bin.
-    """
+    """Power of an output's innovations by frequency, and the wave over the level around it."""
     wave = (power[k - 1 : k + 2] - level).clip(0).sum()
     line = np.full(len(power), level)
     line[k - 1 : k + 2] += wave * np.array([1, 4, 1]) / 6  # as Hann's window spreads it

@@ -7,8 +7,7 @@ from scipy.special import gammaincc
 
 from simgap.diagnosis.fit import Fit, Problem, counted, evaluate, raw_innovations
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.scatter_claim import OWED, Scatter
-from simgap.diagnosis.scatter_pictures import spectrum
+from simgap.diagnosis.scatter_claim import OWED, Scatter, Spectrum
 from simgap.diagnosis.when import rows_of
 
 SEGMENT = 64
@@ -51,7 +50,7 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
     ]
     said = f"The body shakes periodically, at {hertz:.2f} Hz with about {amplitude:.2g} {unit} ({field.name})"
     level = float(_neighbours(power[:, best])[k])
-    shown = spectrum(power[:, best], level, k, count, hertz / k, field)
+    shown = Spectrum(power[:, best], level, k, count, hertz / k, field)
     return Scatter("gait_oscillation", False, constants, (field.name,), f"{said}, as stepping does.", gain, held, shown)
 
 

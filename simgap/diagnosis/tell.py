@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis import black_box, confidence, judge, locate, pictures, words
+from simgap.diagnosis import black_box, confidence, judge, locate, pictures, scatter_pictures, words
 from simgap.diagnosis.experiment import Experiment
 from simgap.diagnosis.explain import EXPLAINED, Explanation, gain
 from simgap.diagnosis.fit import evaluate, raw_innovations
@@ -102,7 +102,7 @@ def evidence(
         "heat": locate.heat(problem.augmented, trained),
         "strips": [*locate.strips(trained, sessions.fitted, False), *locate.strips(held, sessions.heldout, True)],
         "laws": [p for m in found.members for p in pictures.laws(problem, found.fit, m.candidate, trained)]
-        + [SCATTERED | {"effect": s.id} | p for s in found.scattered for p in s.pictures],
+        + [SCATTERED | {"effect": s.id} | p for s in found.scattered for p in scatter_pictures.picture(s.shown)],
         "rollouts": pictures.rollouts(problem, longest, contestants),
         "experiment": plan and pictures.commands(problem, plan.experiment),
     }

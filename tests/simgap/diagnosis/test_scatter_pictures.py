@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from simgap.diagnosis.fit import Noise
-from simgap.diagnosis.scatter_pictures import FEWEST, Axis, between, spectrum, widening
+from simgap.diagnosis.scatter_claim import Axis, Between, Spectrum, Widening
+from simgap.diagnosis.scatter_pictures import FEWEST, picture
 from simgap.types import Field
 
 NOISE = Noise(np.array([0.5, 1.0]), np.full(2, 1e6))
 AXIS = Axis("time [s]", 0.1, 0.1, np.arange(-1.125, 4.2, 0.25))
 
 
-def near_the_line(picture: dict[str, Any]) -> float:
+def near_the_line(drawn: dict[str, Any]) -> float:
     """Share of the dots whose interval holds the line."""
-    line = np.interp(picture["x"], picture["line_x"], picture["line_y"])
-    return float(np.mean(np.abs(line - picture["y"]) <= picture["y_err"]))
+    line = np.interp(drawn["x"], drawn["line_x"], drawn["line_y"])
+    return float(np.mean(np.abs(line - drawn["y"]) <= drawn["y_err"]))
 
 
 def stalled(shares: list[float], rows: int = 4000) -> list[dict[str, Any]]:
@@ -25,7 +26,7 @@ def stalled(shares: list[float], rows: int = 4000) -> list[dict[str, Any]]:
     direction = rng.uniform(2, 4, (rows, 1)) * np.array([1.0, -1.0])
     late = 2 * (rng.random(rows) < 0.1)
     e = late[:, None] * direction + NOISE.scale * rng.normal(size=(rows, 2))
-    return between([e, e - 2 * direction], direction, np.array(shares), NOISE, AXIS)
+    return picture(Between([e, e - 2 * direction], direction, np.array(shares), NOISE, AXIS))
 
 
 def test_rows_lie_where_the_right_mixture_has_them() -> None:
@@ -39,7 +40,7 @@ def test_rows_lie_where_the_right_mixture_has_them() -> None:
 
 def test_rows_that_do_not_move_make_no_picture() -> None:
     e = np.zeros((4 * FEWEST, 2))
-    assert not between([e, e], 0.1 * np.ones_like(e), np.array([0.9, 0.1]), NOISE, AXIS)
+    assert not picture(Between([e, e], 0.1 * np.ones_like(e), np.array([0.9, 0.1]), NOISE, AXIS))
     assert not stalled([0.9, 0.1], FEWEST - 1)
 
 
@@ -47,7 +48,7 @@ def test_scatter_widens_along_the_line() -> None:
     rng = np.random.default_rng(0)
     moving = rng.uniform(0, 1.2, 4000)
     e = (1 + 2 * moving[:, None]) * NOISE.scale * rng.normal(size=(4000, 2))
-    (right,), (wrong,) = (widening(e, NOISE, moving, ratio) for ratio in (3.0, 1.5))
+    (right,), (wrong,) = (picture(Widening(e, NOISE, moving, ratio)) for ratio in (3.0, 1.5))
     assert near_the_line(right) > 0.8
     assert near_the_line(wrong) < 0.4
 
@@ -55,7 +56,7 @@ def test_scatter_widens_along_the_line() -> None:
 def test_a_wave_stands_over_the_level_around_it() -> None:
     power = np.full(33, 8.0)
     power[11:14] += np.array([10.0, 40.0, 10.0])
-    (picture,) = spectrum(power, 8.0, 12, 4, 0.25, Field("base_vy", "m/s", "velocity", "world"))
-    np.testing.assert_allclose(picture["line_y"], power[1:] / 4)
-    np.testing.assert_allclose(picture["y"], picture["line_y"])
-    assert picture["x"][np.argmax(picture["y"])] == 12 * 0.25
+    (found,) = picture(Spectrum(power, 8.0, 12, 4, 0.25, Field("base_vy", "m/s", "velocity", "world")))
+    np.testing.assert_allclose(found["line_y"], power[1:] / 4)
+    np.testing.assert_allclose(found["y"], found["line_y"])
+    assert found["x"][np.argmax(found["y"])] == 12 * 0.25
