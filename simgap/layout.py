@@ -123,6 +123,15 @@ class Layout:
         rows = [self.velocity[body, a] if self.velocity[body, a] >= 0 else self.position[body, a] for a in axes]
         return tuple(self.schema.state[i].name for i in rows if i >= 0)
 
+    def shown_in(self, body: int, axes: tuple[int, ...]) -> tuple[str, ...]:
+        """Names of the outputs in which a body's motion along some of its own axes shows.
+
+        Measured along the world's, motion along x shows in y as well, for the body turns.
+        """
+        turns = self.heading[body] is not None and self.in_world("velocity", body)
+        across = {X, Y} if turns and {X, Y} & set(axes) else set()
+        return self.outputs(body, tuple(sorted({*axes, *across})))
+
     def drives(self, body: int, axis: int) -> bool:
         """Whether a push on the body along the axis can act at all."""
         return bool(max(self.command[body, axis], self.velocity[body, axis], self.position[body, axis]) >= 0)

@@ -63,5 +63,5 @@ def _load_pyfunc(path: str, origin: Origin) -> NextStates:
     if isinstance(simulator, Spot):
         simulator = replace(simulator, time_step=scales.time_step)
     # To take a step it need not be more than a StepModel.
-    whole = AugmentedSimulator.of(simulator, arrays["theta"], scales)  # type: ignore[arg-type]
+    whole = AugmentedSimulator.of(simulator, files.pop_acting(arrays), scales)  # type: ignore[arg-type]
     return NextStates(whole, arrays["phi"])

@@ -84,7 +84,7 @@ def find(
     record.unlink(missing_ok=True)
     start, spot = clock(), Spot(time_step=time_step)
     found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
-    simulator = AugmentedSimulator.of(spot, found.known().v.theta, found.problem.scales)
+    simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
     files.save_arrays(arrays, files.augmented_arrays(simulator))
     files.write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),

@@ -288,6 +288,8 @@ def _card(effect: Values, laws: Sequence[Values]) -> str:
         places.append(f"<div><dt>gains in likelihood</dt><dd>{', '.join(gains)}</dd></div>")
     if _known(effect.get("from_s")):
         places.append(f"<div><dt>begins</dt><dd><b>{_fixed(effect['from_s'], 1)} s</b> into the session</dd></div>")
+    if effect.get("regime"):
+        places.append(f"<div><dt>acts where</dt><dd>{_code(effect['regime'])}</dd></div>")
     probability = ""
     if _known(effect.get("probability")):
         share = _percent(effect["probability"])

@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from simgap.effects.effect import Scales
+from simgap.effects.regime import Acting, Regime
 from simgap.models import BNN, FittedSimulator, FittedSpot, Model
 from simgap.policies.actor import Actor
 from simgap.recordings import Normalisation, check_recording
@@ -474,14 +475,25 @@ def load_policy(path: Path) -> Actor:
 
 def augmented_arrays(simulator: AugmentedSimulator) -> dict[str, np.ndarray]:
     """The effects' constants, what they refer to (`scales_<name>`) and the time step [s], as `augmented_spot` reads."""
-    return {"theta": simulator.constants, "time_step": np.asarray(simulator.time_step, np.float64),
+    return {**acting_arrays(simulator.acting), "time_step": np.asarray(simulator.time_step, np.float64),
             **scale_arrays(simulator.scales)}  # fmt: skip
 
 
 def augmented_spot(arrays: dict[str, np.ndarray]) -> AugmentedSimulator:
     """The Spot with effects that `augmented_arrays` wrote, whose arrays are taken out; KeyError if one is missing."""
     scales, spot = pop_scales(arrays), Spot(time_step=float(arrays.pop("time_step")))
-    return AugmentedSimulator.of(spot, arrays.pop("theta"), scales)
+    return AugmentedSimulator.of(spot, pop_acting(arrays), scales)
+
+
+def acting_arrays(acting: Acting) -> dict[str, np.ndarray]:
+    """Effects' constants and the regime in which they are others, as `pop_acting` reads them."""
+    return {name: np.asarray(value) for name, value in acting._asdict().items()}
+
+
+def pop_acting(arrays: dict[str, np.ndarray]) -> Acting:
+    """The constants among `arrays`, which are taken out; KeyError if one is missing."""
+    theta, within, (feature, side, edge) = (arrays.pop(name) for name in Acting._fields)
+    return Acting(theta, within, Regime(int(feature), float(side), float(edge)))
 
 
 def scale_arrays(scales: Scales) -> dict[str, np.ndarray]:

@@ -7,22 +7,26 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis import black_box, experiment, judge, tell
-from simgap.diagnosis.explain import Explanation, explain, seen_at
+from simgap.diagnosis.explain import Explanation, explain
 from simgap.diagnosis.explain import split as split
+from simgap.diagnosis.heldout import seen_at
 from simgap.diagnosis.innovations import gain_matrix
 from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.search import Say
 from simgap.diagnosis.when import gate
 from simgap.effects.effect import Scales
+from simgap.effects.regime import Regime
 from simgap.types import Recording, StepModel
 
 
 class AugmentedModel(NamedTuple):
-    """The augmented simulator's constants: parameters, effects' internal constants, filter gain, one-step noise of the
-    innovations that `whiten` decorrelates, and the scales that the laws refer to."""
+    """The augmented simulator's constants: parameters, effects' internal constants (see `Acting`), filter gain,
+    one-step noise of the innovations that `whiten` decorrelates, and the scales that the laws refer to."""
 
     phi: Float[np.ndarray, " p"]
     theta: Float[np.ndarray, " P"]
+    within: Float[np.ndarray, " P"]
+    regime: Regime
     gain: Float[np.ndarray, "s s"]
     noise_scale: Float[np.ndarray, " s"]
     noise_dof: Float[np.ndarray, " s"]
@@ -81,7 +85,7 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
     as_is = found.as_is.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
     models = {"as_is": Contestant(as_is), "refitted": Contestant(found.base.v)}
     if found.members:
-        models["augmented"] = Contestant(found.fit.v)
+        models["augmented"] = Contestant(found.fit.v, regime=found.regime)
     return {**models, "black_box": Contestant(found.base.v, box)}
 
 
@@ -96,7 +100,9 @@ def _judged(
     fitted, unseen = judge.pieces_of(training, step), judge.pieces_of(heldout, step)
     if fitted is None or unseen is None:
         return Judgement({}, {})
-    fitted, unseen = fitted._replace(gate=gate(fitted, found.when)), seen_at(unseen, found.when)
+    # In which regime a forecast is, it says itself.
+    layout, when = found.problem.augmented.layout, found.when and found.when._replace(regime=None)
+    fitted, unseen = fitted._replace(gate=gate(layout, fitted, when)), seen_at(layout, unseen, when)
     judged = {name: judge.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
     return Judgement({name: held for name, (held, _) in judged.items()}, {name: on for name, (_, on) in judged.items()})
 
@@ -107,17 +113,15 @@ def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan 
     if not contested:
         return None
     member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
-    designed = experiment.design(found.problem, found.fit, rival.fit, list(training))
+    designed = experiment.design(found.problem, found.fit, rival.fit, found.regime, list(training))
     return designed and tell.Plan(designed, (member.candidate.effect.id, rival.candidate.effect.id))
 
 
 def _model(found: Explanation) -> AugmentedModel:
     v, noise, problem = found.fit.v, found.fit.noise, found.problem
-    # Since the baseline, what changed acts besides; what acts for a while only is no part of the simulator.
-    theta = np.asarray(v.theta + v.gated if found.baseline and not found.when else v.theta)
     return AugmentedModel(
         np.asarray(v.phi),
-        theta,
+        *found.acting(found.fit),
         np.asarray(gain_matrix(problem.augmented, v)),
         noise.scale,
         noise.dof,

@@ -12,6 +12,7 @@ from simgap.diagnosis.black_box import silent
 from simgap.diagnosis.fit import Fit, Problem
 from simgap.diagnosis.forecast import forecast
 from simgap.diagnosis.innovations import RUN_IN, as_chunks, sent_before
+from simgap.effects.regime import Regime
 from simgap.layout import motion
 from simgap.types import Recording
 
@@ -29,7 +30,7 @@ class Experiment(NamedTuple):
     nats: float
 
 
-def design(problem: Problem, a: Fit, b: Fit, recordings: list[Recording]) -> Experiment | None:
+def design(problem: Problem, a: Fit, b: Fit, regime: Regime, recordings: list[Recording]) -> Experiment | None:
     """The sequence, of a library of steps, reversals, ramps and sweeps of each command, that separates a from b most.
 
     None where no sequence stays within the robot's recorded reach.
@@ -48,7 +49,7 @@ def design(problem: Problem, a: Fit, b: Fit, recordings: list[Recording]) -> Exp
     ]  # fmt: skip
     pieces = as_chunks(parts)
     box = silent(problem.augmented.layout)
-    seen = [forecast(problem.augmented, problem.scales, f.v, pieces, box) for f in (a, b)]
+    seen = [forecast(problem.augmented, problem.scales, f.v, pieces, box, regime) for f in (a, b)]
     apart = 0.5 * (((seen[0] - seen[1]) @ problem.whiten.T / a.noise.scale) ** 2).sum((1, 2))
     apart[~_within(problem, seen[0], recordings)] = -1.0
     best = int(np.nanargmax(apart))

@@ -7,7 +7,8 @@ import numpy as np
 
 from simgap.diagnosis.candidates import besides, candidates, changed, gated
 from simgap.diagnosis.confidence import Spread, spread, told_from_nil
-from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, start, whitening
+from simgap.diagnosis.fit import Fit, Problem, evaluate, start, whitening
+from simgap.diagnosis.heldout import agrees, gain, seen_at
 from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
@@ -17,8 +18,9 @@ from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed
-from simgap.diagnosis.when import When, gate, rows_of
+from simgap.diagnosis.when import When, gate
 from simgap.effects.augmented import Augmented
+from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
 from simgap.types import Recording, StepModel
 
 EXPLAINED = 0.5
@@ -32,7 +34,7 @@ class Explanation(NamedTuple):
 
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
     sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the
-    held-out rows, gated as the effects are. when: the time when one of the effects acts, if not throughout. rounds:
+    held-out rows, gated as the effects are. when: when and where one of the effects acts, if not throughout. rounds:
     what was tried. baseline: number of its sessions; with any, what is left over is what they do not leave as well.
     """
 
@@ -60,6 +62,19 @@ class Explanation(NamedTuple):
         share = named_share(self.problem.augmented.layout, self.fit, member.without, self.left)
         return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
 
+    @property
+    def regime(self) -> Regime:
+        """In which one of the effects acts."""
+        return (self.when and self.when.regime) or EVERYWHERE
+
+    def acting(self, fit: Fit) -> Acting:
+        """The constants of a fit, as part of a simulator: what changed since a baseline acts in it as well, and what
+        acts in a regime acts there; what acts for a while only is no part of it."""
+        theta, within = (np.asarray(a) for a in (fit.v.theta, fit.v.theta + fit.v.gated))
+        if self.regime != EVERYWHERE:
+            return Acting(theta, within, self.regime)
+        return everywhere(within if self.baseline and not self.when else theta)
+
     def known(self) -> Fit:
         """The fit without the effects that are nearest words only; nothing is fitted anew."""
         return without(self.fit, [group for m in self.members if not self.names(m) for group in m.candidate.groups])
@@ -86,6 +101,7 @@ def explain(
 ) -> Explanation:
     """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`."""
     augmented = Augmented(simulator)
+    layout = augmented.layout
     sessions = [*baseline, *training]
     scales, time_step = measure(augmented, sessions), simulator.time_step
     chunks = behind_gate(cut(sessions, time_step), len(baseline))
@@ -120,13 +136,14 @@ def explain(
     looked_at, odd = model.fit, sum(s.gain for s in scattered if s.rare)
     if not baseline:  # which has odd rows as well, that would make up as much
         model, members = outshone(model, members, odd, say)
-    when = None if baseline else acts_when(model, members, say)
+    when = None if baseline else acts_when(model, members, unseen, say)
     if not (baseline or members or odd):
         when = begins(model, searched.rounds[0].screening, rng, say)
     if when is not None:
-        # What acts for a while only was looked for as if it acted throughout: look again.
+        # What acts for a while or in a regime only was looked for as if it acted throughout: look again.
         whole = problem, unseen, searched, model, members, rounds
-        problem, unseen = problem._replace(chunks=chunks._replace(gate=gate(chunks, when))), seen_at(unseen, when)
+        problem = problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when)))
+        unseen = seen_at(layout, unseen, when)
         # In one session it may have been a push as well.
         behind = throughout if when.session is None else [*besides(throughout, events), *events]
         hypotheses = [*throughout, *(gated(c) for c in behind)]
@@ -151,7 +168,7 @@ def explain(
             base = base if with_push is model else None
             model, members = with_push, those
     when = next((m.when for m in members if m.when), None)
-    unseen = seen_at(unseen, when)
+    unseen = seen_at(layout, unseen, when)
     say("looking at the scatter that is left")
     if baseline:
         scattered = scatter_since(model, training, baseline, unseen)
@@ -166,30 +183,3 @@ def explain(
         model.problem, as_is, base.fit, model.fit, spread(*model), members, scattered,
         leaves(model.problem, model.fit, len(baseline)), unseen, when, [*searched.rounds, *rounds], len(baseline),
     )  # fmt: skip
-
-
-def agrees(tried: Tried, heldout: float, chunks: Chunks, owed: float) -> bool:
-    """Whether held-out sessions that gain so many nats agree that an effect is there.
-
-    They do where they gain. Where they lose, which they may by parameters that their motion depends on and the fitted
-    sessions' hardly does, all sessions together must gain what is owed, were the one that speaks most for it left out.
-    """
-    if heldout > 0:
-        return True
-    rows = (log_density(tried.fit.e, tried.fit.noise) - log_density(tried.without.e, tried.without.noise)).sum(1)
-    by_session = np.bincount(rows_of(chunks).session, rows)
-    return float(by_session.sum() - by_session.max()) + heldout > owed
-
-
-def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
-    """Log-likelihood [nats] that held-out sessions gain, all constants as fitted."""
-    on = problem._replace(chunks=unseen)
-    a, b = (evaluate(on, f.v, (), f.noise).loglik for f in (without, with_it))
-    return b - a
-
-
-def seen_at(unseen: Chunks, when: When | None) -> Chunks:
-    """Held-out rows with the gate open when an effect acts there: never, where it belongs to a session of training."""
-    if when is not None and when.session is not None:
-        return unseen._replace(gate=0 * unseen.gate)
-    return unseen._replace(gate=gate(unseen, when))

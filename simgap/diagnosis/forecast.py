@@ -21,6 +21,7 @@ from simgap.diagnosis.innovations import (
 )
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import Memory, Row, Scales
+from simgap.effects.regime import EVERYWHERE, Regime, holds
 from simgap.types import Recording
 
 PIECES, SEGMENT = 64, 10
@@ -42,21 +43,24 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
 
 
 def forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regime: Regime = EVERYWHERE
 ) -> Float[np.ndarray, "W h s"]:
-    """Predicted measurements of the rows after each piece's run-in, to which `box` adds; nothing corrects them."""
+    """Predicted measurements of the rows after each piece's run-in, to which `box` adds; nothing corrects them.
+
+    Gated constants act where the gate is open and the robot is, as predicted, in the regime.
+    """
     count = len(pieces.row)
     parts = []
     for first in range(0, count, PIECES):
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + PIECES), count - 1)
         some = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
-        parts.append(_forecast(augmented, scales, v, some, box)[: count - first])
+        parts.append(_forecast(augmented, scales, v, some, box, regime)[: count - first])
     return np.concatenate(parts)
 
 
 def _forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regime: Regime
 ) -> Float[np.ndarray, "W h s"]:
     steps = pieces.state.shape[1] - 1
     trust = np.broadcast_to(np.arange(steps) < RUN_IN, (PIECES, steps)).astype(np.float32)
@@ -67,7 +71,7 @@ def _forecast(
     for first in range(0, steps, SEGMENT):
         # The last segment is filled up by repetition.
         index = np.minimum(np.arange(first, first + SEGMENT), steps - 1)
-        going, seen = _go_on(augmented, scales, v, box, going, tuple(a[:, index] for a in rows))
+        going, seen = _go_on(augmented, scales, v, box, regime, going, tuple(a[:, index] for a in rows))
         parts.append(np.asarray(seen))
     return np.concatenate(parts, axis=1)[:, RUN_IN:steps]
 
@@ -96,7 +100,13 @@ def _begin(
 
 @partial(jax.jit, static_argnames="augmented")
 def _go_on(
-    augmented: Augmented, scales: Scales, v: Variables, box: BlackBox, going: _Going, rows: tuple[Array, ...]
+    augmented: Augmented,
+    scales: Scales,
+    v: Variables,
+    box: BlackBox,
+    regime: Regime,
+    going: _Going,
+    rows: tuple[Array, ...],
 ) -> tuple[_Going, Float[Array, "W t s"]]:
     phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
     active = augmented.active(v.theta, v.gated)
@@ -104,7 +114,7 @@ def _go_on(
     def row(carry, now):
         memory, x = carry
         y_next, u, time_s, next_s, interval, gate, trust = now
-        theta = v.theta + gate * v.gated
+        theta = v.theta + gate * holds(augmented.layout, regime, x, u) * v.gated
         sent = jnp.concatenate([u[None], memory.commands])
         added = correct(augmented.layout, box, x, sent)
         here = Row(time_s, interval)

@@ -16,6 +16,7 @@ from simgap.diagnosis.fit import Noise, Problem, fit_noise, log_density
 from simgap.diagnosis.forecast import forecast, windows
 from simgap.diagnosis.innovations import RUN_IN, Chunks, Variables, wrap
 from simgap.diagnosis.search import LEVEL
+from simgap.effects.regime import EVERYWHERE, Regime
 from simgap.layout import Layout, X, Y, Z
 from simgap.types import Recording
 
@@ -28,10 +29,11 @@ MARGIN = 0.005
 
 
 class Contestant(NamedTuple):
-    """A model to be judged: its variables, and what a black box adds."""
+    """A model to be judged: its variables, what a black box adds, and the regime in which its gated constants act."""
 
     v: Variables
     box: BlackBox | None = None
+    regime: Regime = EVERYWHERE
 
 
 class Judged(NamedTuple):
@@ -90,7 +92,7 @@ def _measured(pieces: Chunks) -> np.ndarray:
 def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
     """Predicted measurements [n, horizon, s] after each piece's run-in."""
     box = contestant.box if contestant.box is not None else silent(problem.augmented.layout)
-    return forecast(problem.augmented, problem.scales, contestant.v, pieces, box)
+    return forecast(problem.augmented, problem.scales, contestant.v, pieces, box, contestant.regime)
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:

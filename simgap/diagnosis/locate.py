@@ -7,15 +7,15 @@ refitted simulator, row by row and output by output [nats].
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.fit import fit_noise, log_density
 from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.restricted import of_rows
 from simgap.effects.augmented import Augmented
-from simgap.layout import YAW, motion
+from simgap.effects.regime import Regime, features, words
+from simgap.layout import Layout
 from simgap.types import Recording
 
 MOST_ROWS = 0.6
@@ -48,38 +48,9 @@ def excess(augmented: Augmented, chunks: Chunks, base: Float[np.ndarray, "C t s"
     t = np.broadcast_to(np.arange(counts.shape[1]), counts.shape)
     row = (np.asarray(chunks.row)[:, None] + t)[counts]
     session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
-    state = np.asarray(chunks.state)[:, :-1][counts]
-    command = np.asarray(chunks.command)[:, :-1][counts]
-    values, names, units = _features(augmented, state, command)
+    names, units = map(list, zip(*features(augmented.layout), strict=True))
+    values = of_rows(augmented.layout, chunks)
     return Excess(nats, np.clip(1 - power[1] / np.maximum(power[0], 1e-18), 0, 1), session, row, values, names, units)
-
-
-def _features(augmented: Augmented, state: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, list[str], list[str]]:
-    """What regimes are told by: speeds, yaw rates, reach and height of the bodies, and every command."""
-    layout = augmented.layout
-    own = jax.vmap(lambda s: motion(layout, s))(jnp.asarray(state))
-    velocity, position = np.asarray(own.velocity), np.asarray(own.position)
-    columns, names, units = [], [], []
-
-    def add(name: str, unit: str, values: np.ndarray) -> None:
-        columns.append(values)
-        names.append(name)
-        units.append(unit)
-
-    for b, body in enumerate(layout.bodies):
-        if (layout.velocity[b, :3] >= 0).any():
-            add(f"{body} speed", "m/s", np.linalg.norm(velocity[:, b, :3], axis=-1))
-        if layout.velocity[b, YAW] >= 0:
-            add(f"{body} |yaw rate|", "rad/s", np.abs(velocity[:, b, YAW]))
-        if layout.carrier[b] is not None:
-            add("reach" if sum(c is not None for c in layout.carrier) == 1 else f"{body} reach", "m",
-                np.linalg.norm(position[:, b, :2], axis=-1))  # fmt: skip
-        if layout.position[b, 2] >= 0:
-            add(f"{body} height", "m", position[:, b, 2])
-    for i, f in enumerate(layout.schema.command):
-        add(f.name, f.unit, command[:, i])
-        add(f"|{f.name}|", f.unit, np.abs(command[:, i]))
-    return np.stack(columns, axis=1), names, units
 
 
 def outputs(augmented: Augmented, found: Excess) -> list[dict]:
@@ -109,6 +80,14 @@ def regimes(found: Excess) -> list[dict]:
                     rule = f"{name} {sign} {edge:.2g} {found.units[k]}"
                     best[name] = (lead, {"when": rule, "share": min(share, 1.0), "rows": rows})
     return [rule for _, rule in sorted(best.values(), key=lambda v: -v[0])[:3]]
+
+
+def share(found: Excess, layout: Layout, regime: Regime) -> dict:
+    """A regime with its share of the excess and of the rows, as `regimes` tells it."""
+    per_row = found.nats.sum(1)
+    rows = regime.side * (found.features[:, regime.feature] - regime.edge) > 0
+    part = float(per_row[rows].sum() / per_row.sum())
+    return {"when": words(layout, regime), "share": min(max(part, 0.0), 1.0), "rows": float(rows.mean())}
 
 
 def intervals(found: Excess, recordings: Sequence[Recording]) -> list[dict]:

@@ -7,8 +7,9 @@ import numpy as np
 
 from simgap.diagnosis import black_box, confidence, judge, locate, pictures, scatter_pictures, words
 from simgap.diagnosis.experiment import Experiment
-from simgap.diagnosis.explain import EXPLAINED, Explanation, gain
+from simgap.diagnosis.explain import EXPLAINED, Explanation
 from simgap.diagnosis.fit import evaluate, raw_innovations
+from simgap.diagnosis.heldout import gain
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.left_over import LeftOver, left_over
@@ -16,6 +17,8 @@ from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.since import leaves
 from simgap.effects import CATALOGUE
+from simgap.effects.regime import EVERYWHERE, features
+from simgap.effects.regime import words as rule
 from simgap.types import Recording
 
 SEEN = 8.0
@@ -178,7 +181,7 @@ def _located(
     where = _excess(found, contestants, verdict, problem.chunks)
     return {
         "outputs": locate.outputs(problem.augmented, where),
-        "regimes": locate.regimes(where),
+        "regimes": _regimes(found, where),
         "intervals": _intervals(found, where, sessions.fitted),
         "depends_on": _depends_on(found, left, contestants["black_box"].box if seen_by_box else None, rng)
         if verdict == "unexplained"
@@ -200,7 +203,7 @@ def _scattered(s: Scatter) -> dict[str, Any]:
     return {
         "id": s.id, **SCATTERED, "probability": 1.0, "channels": [], "outputs": list(s.outputs),
         "statement": s.statement, "constants": s.constants, "credible_set": [s.id], "gain_nats": s.gain,
-        "heldout_gain_nats": s.heldout_gain, "from_s": None,
+        "heldout_gain_nats": s.heldout_gain, "from_s": None, "regime": None,
     }  # fmt: skip
 
 
@@ -219,21 +222,31 @@ def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> 
         step = problem.scales.time_step
         constants += [{"name": n, "value": t, "unit": "s", "ci95": [t - 3 * step, t + 3 * step]}
                       for n, t in (("from", when.from_s), ("to", when.to_s))]  # fmt: skip
-    during = words.during(when, fitted[when.session].name if when and when.session is not None else None)
+    regime = rule(problem.augmented.layout, when.regime) if when is not None and when.regime is not None else None
+    during = words.during(when, fitted[when.session].name if when and when.session is not None else None, regime)
     return {
         "id": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where,
         "probability": member.odds[candidate.effect.id], "channels": list(candidate.channels),
         "outputs": list(outputs), "statement": words.effect(candidate, constants) + during, "constants": constants,
         "credible_set": credible, "gain_nats": member.gain,
         "heldout_gain_nats": gain(problem, found.unseen, evaluate(problem, member.without.v, ()), found.fit),
-        "from_s": when and when.from_s,
+        "from_s": when.from_s if when is not None and regime is None else None, "regime": regime,
     }  # fmt: skip
+
+
+def _regimes(found: Explanation, where: locate.Excess) -> list[dict[str, Any]]:
+    """The regime to which an effect is restricted, then those that hold most of the excess."""
+    layout, told = found.problem.augmented.layout, locate.regimes(where)
+    if found.regime == EVERYWHERE:
+        return told
+    name = features(layout)[found.regime.feature].name
+    return [locate.share(where, layout, found.regime), *(r for r in told if not r["when"].startswith(f"{name} "))]
 
 
 def _intervals(found: Explanation, where: locate.Excess, fitted: Sequence[Recording]) -> list[dict[str, Any]]:
     """When effects act that do not act throughout; else where the excess is, if it is in one place."""
     told = []
-    for when in (m.when for m in found.members if m.when is not None):
+    for when in (m.when for m in found.members if m.when is not None and m.when.regime is None):
         for s, r in enumerate(fitted):
             if when.session in (None, s) and r.time_s[-1] - r.time_s[0] > when.from_s:
                 end = min(when.to_s, float(r.time_s[-1] - r.time_s[0]))

@@ -1,17 +1,23 @@
-"""Whether effects act throughout: from a time on, during a stretch of one session, or as a push from outside."""
+"""Whether effects act throughout: from a time on, during a stretch of one session, in a regime, or as a push."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from simgap.diagnosis.candidates import Candidate, besides, gated
 from simgap.diagnosis.fit import Fit, evaluate, hold, optimise, refine, trials
+from simgap.diagnosis.heldout import gain, seen_at
+from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.restricted import narrowest, of_rows
 from simgap.diagnosis.rivals import Member, member
 from simgap.diagnosis.screen import Evidence, Screening, Weighed, blocks, by_chance, vary, weigh
-from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, Tried, one_more, without
+from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, Tried, lacking, one_more, without
 from simgap.diagnosis.when import (
     LASTING,
     PUSH,
+    Rows,
     When,
     at_start,
     elsewhere,
@@ -21,66 +27,134 @@ from simgap.diagnosis.when import (
     scores,
     stretch,
     stretch_by_chance,
+    told,
 )
 
 OWED = 8.0
 """Gain [nats] that an effect's beginning and end owe: two numbers, the best of some hundreds tried."""
 LATER = tuple(np.arange(0.0, 0.95, 0.15))
 """Shares of a session after which an effect may begin, where it is first looked for."""
+PARTS = (0.35, 0.65)
+"""Shares of the rows above and below which a regime may begin, where it is first looked for."""
 CLEARLY = 1.1
 """Times the gain of a push that something else must gain which acts as long."""
 EXCEPTION = 3.0
 """Times the gain of the best other stretch that a push must gain."""
 
 
-def acts_when(model: Model, members: tuple[Member, ...], say: Say) -> When | None:
-    """When the first effect acts that fits better from a time on, or during a stretch of one session; None if none."""
-    problem, fit, _ = model
-    rows = rows_of(problem.chunks)
-    for m in members:
-        if any(c.shapes for c in m.candidate.effect.constants):
-            continue  # it has an onset of its own
-        score, power = scores(fit, evaluate(problem, without(fit, m.candidate.groups).v, (), fit.noise).e, fit.e)
-        throughout = 0.5 * score.sum() ** 2 / max(power.sum(), 1e-9)
-        from_on, a = onset(rows, score, power)
-        during, b = stretch(rows, score, power, LASTING)
-        when, more = max(((from_on, a), (during, b - throughout)), key=lambda w: w[1])
-        if more > OWED:
-            more = _behind_gate(_open(model, when), m.candidate).loglik - fit.loglik
-            if more > OWED:
-                say(f"{m.candidate.name} acts from {when.from_s:.1f} s on ({more:+.1f} nats)")
-                return when
+class _Restriction(NamedTuple):
+    """When a hypothesis may act, what that promises over the members as they are [nats], and the model it is in."""
+
+    promise: float
+    when: When
+    candidate: Candidate
+    model: Model
+
+
+def acts_when(model: Model, members: tuple[Member, ...], unseen: Chunks, say: Say) -> When | None:
+    """When the first effect acts that fits better from a time on, during a stretch of one session, or in a regime.
+
+    None if none does. A regime is a law of the robot's, to which held-out sessions must agree.
+    """
+    problem, layout = model.problem, model.problem.augmented.layout
+    for hypotheses in _ways(model, members):
+        # Those with shapes have an onset of their own.
+        free = [(m, c) for m, c in hypotheses if not any(constant.shapes for constant in c.effect.constants)]
+        tried = [r for m, c in free for r in _restrictions(m, c, model.fit.loglik)]
+        best = max(tried, key=lambda r: r.promise, default=None)
+        if best is None or best.promise <= OWED:
+            continue
+        restricted = _behind_gate(_open(best.model, best.when), best.candidate)
+        more = restricted.loglik - model.fit.loglik
+        seen = seen_at(layout, unseen, best.when)
+        if more > OWED and (best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0):
+            say(f"{best.candidate.name} acts {told(layout, best.when)} ({more:+.1f} nats)")
+            return best.when
     return None
 
 
-def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Say) -> When | None:
-    """From when on an effect acts, in every session or in one, that is nothing over all of them; None if by chance.
+def _ways(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Candidate]]]:
+    """What may be restricted: the first member alone, for the others may do no more than undo it where it does not act;
+    then every member among the others, with its nearest rival, which it may beat for acting throughout only."""
+    if len(members) > 1:
+        first, *others = (m.candidate for m in members)
+        yield [(lacking(model, others), first)]
+    for m in members:
+        hypotheses = [(model, m.candidate)]
+        if m.rival is not None:
+            fit = evaluate(model.problem, m.rival.fit.v, m.rival.fit.groups)
+            hypotheses.append((model._replace(fit=fit), m.rival.candidate))
+        yield hypotheses
 
-    The screening's hypotheses are weighed anew over what comes after some times.
+
+def _restrictions(model: Model, candidate: Candidate, loglik: float) -> list[_Restriction]:
+    """From a time on, during a stretch, in a regime: a hypothesis fitted as if it acted throughout."""
+    problem, fit, _ = model
+    rows, found = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
+    score, power = scores(fit, evaluate(problem, without(fit, candidate.groups).v, (), fit.noise).e, fit.e)
+    from_on, a = onset(rows, score, power)
+    during, b = stretch(rows, score, power, LASTING)
+    regime, c = narrowest(found, score, power, LEAST_SHARE)
+    throughout, ahead = 0.5 * score.sum() ** 2 / max(power.sum(), 1e-9), fit.loglik - loglik
+    whens = ((from_on, a), (during, b - throughout), (When(regime=regime), c))
+    return [_Restriction(ahead + more, when, candidate, model) for when, more in whens]
+
+
+class _Look(NamedTuple):
+    """Rows in which effects are weighed anew: in a regime, or from a time on in one session or (None) in every."""
+
+    rows: Bool[np.ndarray, " n"]
+    session: int | None = None
+    regime: bool = False
+
+
+def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Say) -> When | None:
+    """From when on, or in which regime, an effect acts that is nothing over all rows; None if by chance.
+
+    The screening's hypotheses are weighed anew over what comes after some times, and above and below some edges.
     """
     problem, fit, _ = model
-    rows = rows_of(problem.chunks)
+    rows, found = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
     score, power, two_sided = screening.evidence
     starts = blocks(np.asarray(problem.chunks.counts))
-    places = [None, *np.unique(rows.session).tolist()]
-    later = [(place, share) for place in places for share in LATER if share or place is not None]
-    among = {place: np.full(len(rows.time_s), True) if place is None else rows.session == place for place in places}
-    after = [among[place] & (rows.time_s >= share * rows.time_s[among[place]].max()) for place, share in later]
-    # One by one: all rows for all of these times would be gigabytes.
-    each = [weigh(Evidence(score * on, power * on, two_sided), starts) for on in after]
+    looks = [*_later(rows), *_beyond(found)]
+    # One by one: all rows for all of these looks would be gigabytes.
+    each = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]
     weighed = Weighed(*(np.concatenate(fields) for fields in zip(*each, strict=True)))
     p_value, _ = by_chance(weighed, LEVEL, rng)
-    say(f"the same from a time on: p = {p_value:.4f}")
+    say(f"the same from a time on, or in a regime: p = {p_value:.4f}")
     if p_value > LEVEL:
         return None
     which, best = divmod(int(weighed.statistic.argmax()), len(score))
-    hypothesis, place = screening.found[best], later[which][0]
+    hypothesis, look = screening.found[best], looks[which]
     there = trials(problem, [vary(fit.v, hypothesis.candidate, hypothesis.start)])[0]
-    when, more = onset(rows, *scores(fit, fit.e, there), place)
-    if place is not None:  # to its end
-        when = when._replace(to_s=float(rows.time_s[among[place]].max()) + problem.scales.time_step)
-    say(f"{hypothesis.candidate.name} acts from {when.from_s:.1f} s on ({more:+.1f} nats)")
+    if look.regime:
+        regime, more = narrowest(found, *scores(fit, fit.e, there), LEAST_SHARE)
+        when = When(regime=regime)
+    else:
+        when, more = onset(rows, *scores(fit, fit.e, there), look.session)
+        if look.session is not None:  # to its end
+            last = rows.time_s[rows.session == look.session].max()
+            when = when._replace(to_s=float(last) + problem.scales.time_step)
+    say(f"{hypothesis.candidate.name} acts {told(problem.augmented.layout, when)} ({more:+.1f} nats)")
     return when if more > OWED else None
+
+
+def _later(rows: Rows) -> Iterator[_Look]:
+    """After some times, in every session and in each."""
+    for session in (None, *np.unique(rows.session).tolist()):
+        mine = np.full(len(rows.time_s), True) if session is None else rows.session == session
+        for share in LATER:
+            if share or session is not None:
+                yield _Look(mine & (rows.time_s >= share * rows.time_s[mine].max()), session)
+
+
+def _beyond(found: Float[np.ndarray, "n f"]) -> Iterator[_Look]:
+    """Above and below some edges of every feature."""
+    for column in found.T:
+        for edge in np.quantile(column, PARTS):
+            yield _Look(column > edge, regime=True)
+            yield _Look(column <= edge, regime=True)
 
 
 def pushed(
@@ -132,8 +206,8 @@ def pushed(
 
 
 def _open(model: Model, when: When) -> Model:
-    chunks = model.problem.chunks
-    return model._replace(problem=model.problem._replace(chunks=chunks._replace(gate=gate(chunks, when))))
+    layout, chunks = model.problem.augmented.layout, model.problem.chunks
+    return model._replace(problem=model.problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when))))
 
 
 def _behind_gate(model: Model, throughout: Candidate) -> Fit:

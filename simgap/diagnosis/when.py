@@ -1,4 +1,4 @@
-"""When an effect acts: from a time on in every session, or during a stretch of one session."""
+"""When an effect acts: from a time on in every session, during a stretch of one session, or in a regime."""
 
 from typing import NamedTuple
 
@@ -8,6 +8,9 @@ from jaxtyping import Array, Float
 
 from simgap.diagnosis.fit import Fit, weights
 from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.restricted import inside
+from simgap.effects.regime import Regime, words
+from simgap.layout import Layout
 
 LENGTHS = (8, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
 """Rows of the stretches that are tried; edges are refined afterwards."""
@@ -23,11 +26,17 @@ DRAWS = 100
 
 
 class When(NamedTuple):
-    """Session (index, None for all) and time [s] since its start."""
+    """Session (index, None for all), time [s] since its start, and regime (None for all)."""
 
-    session: int | None
-    from_s: float
-    to_s: float
+    session: int | None = None
+    from_s: float = 0.0
+    to_s: float = np.inf
+    regime: Regime | None = None
+
+
+def told(layout: Layout, when: When) -> str:
+    """In short: `where reach > 0.9 m`, `from 3.2 s on`."""
+    return f"where {words(layout, when.regime)}" if when.regime is not None else f"from {when.from_s:.1f} s on"
 
 
 class Rows(NamedTuple):
@@ -44,15 +53,17 @@ def rows_of(chunks: Chunks) -> Rows:
     return Rows(session, np.asarray(chunks.time_s)[:, :-1][counts])
 
 
-def gate(chunks: Chunks, when: When | None) -> Float[Array, "C T"]:
-    """1 where an effect acts."""
+def gate(layout: Layout, chunks: Chunks, when: When | None) -> Float[Array, "C T"]:
+    """1 where an effect acts, which in a regime is as measured."""
     time = np.asarray(chunks.time_s)
     if when is None:
         return jnp.ones(time.shape)
-    inside = (time >= when.from_s) & (time < when.to_s)
+    acts = (time >= when.from_s) & (time < when.to_s)
     if when.session is not None:
-        inside &= (np.asarray(chunks.session) == when.session)[:, None]
-    return jnp.asarray(inside, jnp.float32)
+        acts &= (np.asarray(chunks.session) == when.session)[:, None]
+    if when.regime is not None:
+        acts &= inside(layout, when.regime, chunks)
+    return jnp.asarray(acts, jnp.float32)
 
 
 def scores(

@@ -22,14 +22,18 @@ def quantity(constant: dict[str, Any]) -> str:
 def effect(candidate: Candidate, constants: list[dict[str, Any]]) -> str:
     """One effect: its law with its constants, and where it acts."""
     said = candidate.effect.says.format(**{c["name"]: quantity(c) for c in constants})
-    where = ", ".join(candidate.channels or candidate.outputs) or candidate.where
+    # Along one axis of a body that turns it shows in two outputs.
+    shown = (candidate.where,) if candidate.where in candidate.outputs else candidate.outputs
+    where = ", ".join(candidate.channels or shown) or candidate.where
     return f"{said[0].upper()}{said[1:]} ({where})."
 
 
-def during(when: When | None, session: str | None) -> str:
+def during(when: When | None, session: str | None, regime: str | None) -> str:
     """When an effect acts, if not throughout."""
     if when is None:
         return ""
+    if regime is not None:
+        return f" It acts where {regime} only."
     if session is None:
         return f" It acts from {when.from_s:.1f} s on in every session."
     return f" It acts from {when.from_s:.1f} s to {when.to_s:.1f} s of session {session} only."

@@ -148,7 +148,11 @@ def channel_sites(layout: Layout) -> tuple[Site, ...]:
     sites = []
     for i, f in enumerate(layout.schema.command):
         where = np.argwhere(layout.command == i)
-        outputs = layout.outputs(int(where[0, 0]), (int(where[0, 1]),)) if len(where) else ()
+        outputs: tuple[str, ...] = ()
+        if len(where):
+            body, axis = map(int, where[0])
+            shown = layout.outputs if layout.in_world("command", body) else layout.shown_in
+            outputs = shown(body, (axis,))
         sites.append(Site(f.name, (f.name,), outputs, f.body or f.name, f.unit))
     return tuple(sites)
 
@@ -159,9 +163,9 @@ def axis_sites(layout: Layout) -> tuple[Site, ...]:
     for b, a in axis_indices(layout):
         column = layout.command[b, a]
         channels = (layout.schema.command[column].name,) if column >= 0 else ()
-        outputs = layout.outputs(b, (a,))
+        (name,) = layout.outputs(b, (a,))
         unit = layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
-        sites.append(Site(outputs[0], channels, outputs, layout.bodies[b], unit))
+        sites.append(Site(name, channels, layout.shown_in(b, (a,)), layout.bodies[b], unit))
     return tuple(sites)
 
 
@@ -177,7 +181,7 @@ def body_sites(layout: Layout, bodies: list[int], axes: tuple[int, ...]) -> tupl
 
 def _body_site(layout: Layout, b: int, axes: tuple[int, ...]) -> Site:
     channels = tuple(layout.schema.command[int(c)].name for c in layout.command[b, list(axes)] if c >= 0)
-    return Site(layout.bodies[b], channels, layout.outputs(b, axes), layout.bodies[b], "m/s")
+    return Site(layout.bodies[b], channels, layout.shown_in(b, axes), layout.bodies[b], "m/s")
 
 
 def mounted(layout: Layout) -> list[int]:

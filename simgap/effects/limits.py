@@ -61,7 +61,9 @@ def _heights(scales: Scales, site: int) -> list[list[float]]:
 
 
 def _floored_sites(layout: Layout) -> tuple[Site, ...]:
-    return tuple(Site(layout.bodies[b], (), layout.outputs(b, (Z,)), layout.bodies[b], "m") for b in floored(layout))
+    names = [f.name for f in layout.schema.state]
+    at = {b: [int(i) for i in (layout.velocity[b, Z], layout.position[b, Z]) if i >= 0] for b in floored(layout)}
+    return tuple(Site(layout.bodies[b], (), tuple(names[i] for i in at[b]), layout.bodies[b], "m") for b in at)
 
 
 def _reach(c: float, site: int, scales: Scales) -> float:

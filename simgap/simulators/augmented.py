@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Place, Row, Scales
+from simgap.effects.regime import EVERYWHERE, Acting, Regime, holds
 from simgap.recordings import HISTORY
 from simgap.types import Parameter, Schema, Simulator
 
@@ -19,7 +20,9 @@ SETTLING = 16
 
 @dataclass(frozen=True)
 class AugmentedSimulator:
-    """`simulator` with the internal constants theta of all effects at all sites, known and fixed; as a `Simulator`.
+    """`simulator` with the internal constants of all effects at all sites, known and fixed; as a `Simulator`.
+
+    theta holds everywhere, or everywhere but in a `regime`, where `within` does.
 
     What the constants refer to, the `Scales` of the recordings they were found in, is held as tuples, so that it can be
     hashed. Outputs measured late are not taken back, for one state does not say how fast it was reached. The time in
@@ -28,16 +31,20 @@ class AugmentedSimulator:
 
     simulator: Simulator
     theta: tuple[float, ...]
+    within: tuple[float, ...]
+    regime: Regime
     frozen_scales: tuple[Any, ...]
 
     @staticmethod
-    def of(simulator: Simulator, theta: Float[np.ndarray, " P"], scales: Scales) -> "AugmentedSimulator":
+    def of(simulator: Simulator, acting: Acting, scales: Scales) -> "AugmentedSimulator":
         """From the arrays that a diagnosis gives."""
-        values = np.asarray(theta, np.float32)
         expected = len(Augmented(simulator).slots)
-        if values.shape != (expected,):
-            raise ValueError(f"theta has shape {values.shape}; this simulator's effects have {expected} constants.")
-        return AugmentedSimulator(simulator, tuple(map(float, values)), tuple(_frozen(s) for s in scales))
+        theta, within = (np.asarray(values, np.float32) for values in (acting.theta, acting.within))
+        for values in (theta, within):
+            if values.shape != (expected,):
+                raise ValueError(f"theta has shape {values.shape}; this simulator's effects have {expected} constants.")
+        outside, inside = (tuple(map(float, values)) for values in (theta, within))
+        return AugmentedSimulator(simulator, outside, inside, acting.regime, tuple(_frozen(s) for s in scales))
 
     @property
     def schema(self) -> Schema:
@@ -60,9 +67,9 @@ class AugmentedSimulator:
         return Augmented(self.simulator)
 
     @cached_property
-    def constants(self) -> Float[np.ndarray, " P"]:
-        """theta as an array of numpy's: laws whose constants are all zero are never traced."""
-        return np.asarray(self.theta, np.float32)
+    def acting(self) -> Acting:
+        """The constants as arrays of numpy's: laws whose constants are all zero are never traced."""
+        return Acting(np.asarray(self.theta, np.float32), np.asarray(self.within, np.float32), self.regime)
 
     @cached_property
     def scales(self) -> Scales:
@@ -72,8 +79,9 @@ class AugmentedSimulator:
     @property
     def effects(self) -> tuple[str, ...]:
         """The ids of the effects that are in it."""
-        found = self.augmented.laws(self.constants, None, *get_args(Place))
-        return tuple(dict.fromkeys(law.effect.id for law in found))
+        each = (self.acting.theta, self.acting.within)
+        found = (law.effect.id for theta in each for law in self.augmented.laws(theta, None, *get_args(Place)))
+        return tuple(dict.fromkeys(found))
 
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
@@ -85,7 +93,20 @@ class AugmentedSimulator:
         self, params: Float[Array, " p"], state: Float[Array, " s"], commands: Float[Array, "3 u"]
     ) -> Float[Array, " s"]:
         """The next state given u_{t-2}, u_{t-1}, u_t; before them, u_{t-2} was sent all along."""
-        augmented, theta = self.augmented, self.constants
+        outside = self._step(self.acting.theta, params, state, commands)
+        if self.regime == EVERYWHERE:
+            return outside
+        there = holds(self.augmented.layout, self.regime, state, commands[-1])
+        return jnp.where(there, self._step(self.acting.within, params, state, commands), outside)
+
+    def _step(
+        self,
+        theta: Float[np.ndarray, " P"],
+        params: Float[Array, " p"],
+        state: Float[Array, " s"],
+        commands: Float[Array, "3 u"],
+    ) -> Float[Array, " s"]:
+        augmented = self.augmented
         remembers = bool(augmented.laws(theta, None, "filter"))
         earlier = jnp.tile(commands[0], (HISTORY_ROWS - HISTORY + 1 + remembers * SETTLING, 1))
         past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])

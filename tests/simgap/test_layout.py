@@ -60,6 +60,15 @@ def moved(layout: Layout, state: np.ndarray, angle: float, shift: float) -> np.n
 # By hand
 
 
+def test_motion_along_an_own_axis_shows_in_both_of_the_worlds() -> None:
+    base, hand = (SPOT.bodies.index(b) for b in ("base", "ee"))
+    assert SPOT.outputs(base, (0,)) == ("base_vx",)
+    assert SPOT.shown_in(base, (0,)) == SPOT.shown_in(base, (1,)) == ("base_vx", "base_vy")
+    assert SPOT.shown_in(hand, (1, 2)) == ("ee_vx", "ee_vy", "ee_vz")
+    assert SPOT.shown_in(base, (3,)) == ("base_wz",)
+    assert RAIL.shown_in(0, (0,)) == RAIL.outputs(0, (0,)) == ("velocity",)
+
+
 def test_spots_motion_by_hand() -> None:
     own = motion(SPOT, SPOT_STATE)
     # The base's world velocity (0.3, 0.4) is 0.4 ahead and 0.3 to the right. Rigidly with it the hand would move at

@@ -10,6 +10,7 @@ import pytest
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
+from simgap.effects.regime import everywhere
 from simgap.models import FittedSimulator
 from simgap.recordings import HISTORY
 from simgap.simulators import sample_parameters
@@ -36,7 +37,7 @@ def late(recordings: list[Recording], rows: float = 1.0) -> AugmentedSimulator:
     """The Spot with a dead time."""
     augmented = Augmented(SPOT)
     theta = np.array([rows if CATALOGUE[slot.effect].id == "delay" else 0.0 for slot in augmented.slots])
-    return AugmentedSimulator.of(SPOT, theta, measure(augmented, recordings))
+    return AugmentedSimulator.of(SPOT, everywhere(theta), measure(augmented, recordings))
 
 
 def session(name: str, rows: int, seed: int) -> Recording:
@@ -78,7 +79,8 @@ def asked(recordings: list[Recording], monkeypatch: pytest.MonkeyPatch) -> list[
         say("looking")
         found = late(recordings)
         return SimpleNamespace(
-            known=lambda: SimpleNamespace(v=SimpleNamespace(theta=found.constants)),
+            known=lambda: None,
+            acting=lambda _: found.acting,
             names=lambda _: True,
             problem=SimpleNamespace(scales=found.scales),
             members=[SimpleNamespace(candidate=SimpleNamespace(name="delay on all"))],

@@ -23,6 +23,7 @@ from hypothesis.extra import numpy as hnp
 from simgap.diagnosis.measure import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
+from simgap.effects.regime import Acting, Regime
 from simgap.models import BNN, FittedSimulator, FittedSpot, Model, predict
 from simgap.recordings import normalisation
 from simgap.simulators import parameter_ranges
@@ -593,14 +594,15 @@ def fitted_spot() -> FittedSpot:
 
 
 def fitted_simulator() -> FittedSimulator:
-    """With a dead time and a friction."""
+    """With a dead time and a friction, both greater within a reach."""
     augmented, spot = Augmented(Spot(STEP)), fitted_spot()
     rng = np.random.default_rng(3)
     recording = Recording("made up", np.arange(60) / 15, rng.normal(size=(60, 12)), rng.normal(size=(60, 6)))
     theta = np.zeros(len(augmented.slots), np.float32)
     for i, slot in enumerate(augmented.slots):
         theta[i] = {"delay": 1.3, "coulomb_friction": 0.1}.get(CATALOGUE[slot.effect].id, 0.0)
-    simulator = AugmentedSimulator.of(Spot(STEP), theta, measure(augmented, [recording]))
+    acting = Acting(theta, 2 * theta, Regime(2, -1.0, 0.7))
+    simulator = AugmentedSimulator.of(Spot(STEP), acting, measure(augmented, [recording]))
     return FittedSimulator(simulator, spot.params, spot.scale, spot.dof)
 
 

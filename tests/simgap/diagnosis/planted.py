@@ -10,6 +10,7 @@ import numpy as np
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot, advance, remember, sense
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.effects.regime import EVERYWHERE, Regime, holds
 from simgap.layout import carried_velocity
 from simgap.robots import operator
 from simgap.simulators.spot import Spot
@@ -38,7 +39,7 @@ def theta(constants: Mapping[tuple[str, int, int], float]) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames="rows")
-def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
+def _run(key, theta, during, from_s, to_s, regime, lost, phi, noise, rows):
     config = operator.OperatorConfig()
     key_start, lost_key, key = jax.random.split(key, 3)
     pose = jnp.array([2.0, 2.0, 3.0]) * jax.random.uniform(key_start, (3,), minval=-1)
@@ -56,7 +57,8 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
         measured = sense(SPOT, theta, memory, state, here) + noise * jnp.array(SENSOR) * jax.random.normal(k1, (12,))
         measured = measured.at[2].set(jnp.arctan2(jnp.sin(measured[2]), jnp.cos(measured[2])))
         op, u = operator.step(op, measured, k2, 1 / 15, config)
-        constants = theta + jnp.where((time_s >= from_s) & (time_s < to_s), 1.0, 0.0) * during
+        acts = (time_s >= from_s) & (time_s < to_s) & holds(SPOT.layout, regime, state, u)
+        constants = theta + jnp.where(acts, 1.0, 0.0) * during
         # Lost commands come in bursts of four rows.
         k4 = jax.random.fold_in(lost_key, (time_s * 15).astype(int) // 4)
         acted = jnp.where(jax.random.uniform(k4) < lost, sent, u)
@@ -79,19 +81,19 @@ def _run(key, theta, during, from_s, to_s, lost, phi, noise, rows):
 
 def recordings(
     constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI, during=None, from_s=0.0, to_s=np.inf, only=None,
-    lost: float | np.ndarray = 0.0,
+    regime: Regime = EVERYWHERE, lost: float | np.ndarray = 0.0,
 ) -> list[Recording]:  # fmt: skip
     """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise.
 
-    `during` are constants that hold from `from_s` to `to_s` besides, in session `only` if it is given; `lost` is the
-    share of commands that are lost, in bursts: of all channels, or of each.
+    `during` are constants that hold from `from_s` to `to_s` and in a regime besides, in session `only` if it is given;
+    `lost` is the share of commands that are lost, in bursts: of all channels, or of each.
     """
     out = []
     for s in range(sessions):
         key = jax.random.fold_in(jax.random.key(seed), s)
         more = theta(during or {}) * (only in (None, s))
         planted = (jnp.asarray(a) for a in (theta(constants), more))
-        y, u = _run(key, *planted, from_s, to_s, jnp.asarray(lost), jnp.asarray(phi), noise, rows)
+        y, u = _run(key, *planted, from_s, to_s, regime, jnp.asarray(lost), jnp.asarray(phi), noise, rows)
         out.append(Recording(f"s{s}", np.arange(rows) / 15, np.asarray(y, np.float64), np.asarray(u, np.float64)))
     return out
 

@@ -6,12 +6,14 @@ from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, RICH, acting, explain, problem, sessions
 
 from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.explain import agrees
 from simgap.diagnosis.fit import Fit, Noise, start
+from simgap.diagnosis.heldout import agrees
+from simgap.diagnosis.restricted import inside
 from simgap.diagnosis.screen import Screened
 from simgap.diagnosis.search import LEVEL, Tried, promising
 from simgap.diagnosis.when import rows_of
 from simgap.effects import CATALOGUE
+from simgap.effects.regime import Regime, features
 
 SMOOTH_ARM = np.r_[PHI[:3], 0.3, 0.3, 0.3, PHI[6:]].astype(np.float32)
 """A hand that remembers its velocity, without which it does not matter what it remembers."""
@@ -192,6 +194,34 @@ def test_what_is_nothing_over_all_sessions_is_found_with_its_beginning(
     assert member.when.from_s == pytest.approx(from_s, abs=0.2)
     gated = float(found.fit.v.gated[member.candidate.groups[0].entries[0]])
     assert gated == pytest.approx(constant, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("key", "constant", "site", "rule"),
+    [
+        ("gain", -0.35, 4, "reach > 0.8 m"),
+        ("cross_axis_coupling", 0.3, 2, "ee height < 0.55 m"),
+        ("viscous_drag", 0.35, 1, "base |yaw rate| > 0.3 rad/s"),
+    ],
+)
+def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, site: int, rule: str) -> None:
+    name, side, edge, _ = rule.rsplit(" ", 3)
+    number = [f.name for f in features(SPOT.layout)].index(name)
+    regime = Regime(number, 1.0 if side == ">" else -1.0, float(edge))
+    planted = acting(key, (constant,), (site,))
+    found = explain(*sessions({}, RICH, during=planted, regime=regime))
+    (member,) = found.members
+    assert member.candidate.effect.key == key
+    assert found.when is not None
+    assert found.when == member.when
+    truth, told = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, found.regime))
+    assert (truth & told).sum() > 0.85 * (truth | told).sum()
+    value, sd = float(found.fit.v.gated[member.candidate.groups[0].entries[0]]), found.sd.constants[0]
+    assert value == pytest.approx(constant, abs=max(0.1 * abs(constant), 3 * sd))
+    acts = found.acting(found.known())
+    assert acts.regime == found.regime
+    assert not acts.theta.any()
+    assert acts.within.any()
 
 
 @pytest.mark.parametrize("reach", [1.1, 1.13])

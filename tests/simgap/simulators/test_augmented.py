@@ -13,6 +13,7 @@ from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.command_path import fading_of
 from simgap.effects.effect import Scales
+from simgap.effects.regime import Acting, Regime, everywhere, features
 from simgap.recordings import decode_state, encode_state
 from simgap.simulators import sample_parameters, state_difference
 from simgap.simulators.augmented import AugmentedSimulator
@@ -38,7 +39,7 @@ def with_effects(**constants: float) -> AugmentedSimulator:
     for i, slot in enumerate(augmented.slots):
         if slot.constant == 0:
             theta[i] = constants.get(CATALOGUE[slot.effect].key, 0.0)
-    return AugmentedSimulator.of(SPOT, theta, scales())
+    return AugmentedSimulator.of(SPOT, everywhere(theta), scales())
 
 
 def differences(simulator: Simulator, x: Array = X) -> Array:
@@ -105,6 +106,18 @@ def test_a_biased_output_changes_as_the_true_one_does() -> None:
     np.testing.assert_allclose(differences(late), differences(SPOT), atol=1e-5)
 
 
+def test_in_a_regime_other_constants_hold() -> None:
+    outside, inside = with_effects(delay=1.0), with_effects(delay=2.0, viscous_drag=0.1)
+    reach = [f.name for f in features(outside.augmented.layout)].index("reach")
+    acting = Acting(outside.acting.theta, inside.acting.theta, Regime(reach, 1.0, 0.8))
+    simulator = AugmentedSimulator.of(SPOT, acting, scales())
+    far = np.linalg.norm(X[:, 7:9] - X[:, :2], axis=1) > 0.8
+    assert 5 < far.sum() < 45
+    expected = np.where(far[:, None], differences(inside), differences(outside))
+    np.testing.assert_allclose(differences(simulator), expected, atol=1e-6)
+    assert set(simulator.effects) == {"delay", "viscous_drag"}
+
+
 def test_it_is_known_when_compiled_and_differentiable_in_the_parameters() -> None:
     simulator = with_effects(delay=1.0, viscous_drag=0.1, backlash=0.2)
     again = with_effects(delay=1.0, viscous_drag=0.1, backlash=0.2)
@@ -123,4 +136,4 @@ def test_it_is_known_when_compiled_and_differentiable_in_the_parameters() -> Non
 
 def test_constants_of_another_simulator_are_refused() -> None:
     with pytest.raises(ValueError, match="theta"):
-        AugmentedSimulator.of(SPOT, np.zeros(3), scales())
+        AugmentedSimulator.of(SPOT, everywhere(np.zeros(3)), scales())

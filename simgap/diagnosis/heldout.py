@@ -1,0 +1,36 @@
+"""What sessions that take no part in a fit say of it."""
+
+import numpy as np
+
+from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density
+from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.search import Tried
+from simgap.diagnosis.when import When, gate, rows_of
+from simgap.layout import Layout
+
+
+def agrees(tried: Tried, heldout: float, chunks: Chunks, owed: float) -> bool:
+    """Whether held-out sessions that gain so many nats agree that an effect is there.
+
+    They do where they gain. Where they lose, which they may by parameters that their motion depends on and the fitted
+    sessions' hardly does, all sessions together must gain what is owed, were the one that speaks most for it left out.
+    """
+    if heldout > 0:
+        return True
+    rows = (log_density(tried.fit.e, tried.fit.noise) - log_density(tried.without.e, tried.without.noise)).sum(1)
+    by_session = np.bincount(rows_of(chunks).session, rows)
+    return float(by_session.sum() - by_session.max()) + heldout > owed
+
+
+def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
+    """Log-likelihood [nats] that held-out sessions gain, all constants as fitted."""
+    on = problem._replace(chunks=unseen)
+    a, b = (evaluate(on, f.v, (), f.noise).loglik for f in (without, with_it))
+    return b - a
+
+
+def seen_at(layout: Layout, unseen: Chunks, when: When | None) -> Chunks:
+    """Held-out rows with the gate open when an effect acts there: never, where it belongs to a session of training."""
+    if when is not None and when.session is not None:
+        return unseen._replace(gate=0 * unseen.gate)
+    return unseen._replace(gate=gate(layout, unseen, when))
