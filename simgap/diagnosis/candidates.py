@@ -52,10 +52,15 @@ def gated(candidate: Candidate) -> Candidate:
     return candidate._replace(groups=tuple(g._replace(gated=True) for g in candidate.groups))
 
 
-def besides(throughout: Sequence[Candidate], events: Sequence[Candidate]) -> list[Candidate]:
-    """Hypotheses other than those of an event's law by another name: in one session only, a drift is a push."""
-    laws = [event.effect.law for event in events]
-    return [c for c in throughout if c.effect.law not in laws]
+def within_session(
+    throughout: Sequence[Candidate], events: Sequence[Candidate], to_its_end: bool
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Of both, those that may act during a stretch of one session, each law by one name: a drift is a push there,
+    unless it lasts to the session's end."""
+    named, others = (throughout, events) if to_its_end else (events, throughout)
+    laws = [c.effect.law for c in named]
+    others = [c for c in others if c.effect.law not in laws]
+    return (list(named), others) if to_its_end else (others, list(named))
 
 
 def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.candidates import besides, candidates, changed, gated
+from simgap.diagnosis.candidates import candidates, changed, gated, within_session
 from simgap.diagnosis.confidence import Spread, spread, told_from_nil
 from simgap.diagnosis.fit import Fit, Problem, evaluate, start, whitening
 from simgap.diagnosis.heldout import agrees, gain, seen_at
@@ -18,7 +18,7 @@ from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed
-from simgap.diagnosis.when import When, gate
+from simgap.diagnosis.when import When, gate, rows_of, to_its_end
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
 from simgap.types import Recording, StepModel
@@ -145,7 +145,8 @@ def explain(
         problem = problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when)))
         unseen = seen_at(layout, unseen, when)
         # In one session it may have been a push as well.
-        behind = throughout if when.session is None else [*besides(throughout, events), *events]
+        within = within_session(throughout, events, to_its_end(rows_of(chunks), when))
+        behind = throughout if when.session is None else [c for some in within for c in some]
         hypotheses = [*throughout, *(gated(c) for c in behind)]
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)

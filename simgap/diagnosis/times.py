@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.candidates import Candidate, besides, gated
+from simgap.diagnosis.candidates import Candidate, gated, within_session
 from simgap.diagnosis.fit import Fit, evaluate, hold, optimise, refine, trials
 from simgap.diagnosis.heldout import gain, seen_at
 from simgap.diagnosis.innovations import Chunks
@@ -27,6 +27,7 @@ from simgap.diagnosis.when import (
     scores,
     stretch,
     stretch_by_chance,
+    to_its_end,
     told,
 )
 
@@ -157,6 +158,17 @@ def _beyond(found: Float[np.ndarray, "n f"]) -> Iterator[_Look]:
             yield _Look(column <= edge, regime=True)
 
 
+class _Push(NamedTuple):
+    """An event and its best stretch: what it may gain there [nats], and with which constants."""
+
+    event: Candidate
+    constants: tuple[float, ...]
+    when: When
+    gain: float
+    score: Float[np.ndarray, " n"]
+    power: Float[np.ndarray, " n"]
+
+
 def pushed(
     model: Model,
     members: tuple[Member, ...],
@@ -171,38 +183,50 @@ def pushed(
     """
     problem, fit, _ = model
     rows = rows_of(problem.chunks)
-    tried: list[tuple[float, Candidate, When, np.ndarray, np.ndarray]] = []
-    for event in events:
-        with_it = trials(problem, [vary(fit.v, event, event.starts[0])])[0]
-        score, power = scores(fit, fit.e, with_it)
-        when, gain = stretch(rows, score, power, PUSH)
-        while gain > 0 and at_start(rows, when):
-            # What a robot remembers of the time before its session looks like a push, and is not known.
-            score = elsewhere(rows, when, score)
-            when, gain = stretch(rows, score, power, PUSH)
-        tried.append((gain, event, when, score, power))
+    tried = [_push(model, rows, event, start) for event in events for start in event.starts]
     if not tried or any(m.when for m in members):
         return model, members
-    gain, event, when, score, power = max(tried, key=lambda t: t[0])
-    chance = stretch_by_chance(rows, score, power, LEVEL / len(events), rng)
-    if gain < chance + LEAST_SHARE * sum(m.gain for m in members):
+    best = max(tried, key=lambda p: p.gain)
+    chance = stretch_by_chance(rows, best.score, best.power, LEVEL / len(tried), rng)
+    if best.gain < chance + LEAST_SHARE * sum(m.gain for m in members):
         return model, members
     # A push is an exception: what recurs is something else.
-    again = max(stretch(rows, elsewhere(rows, when, score), power, PUSH)[1] for *_, score, power in tried)
-    if gain < EXCEPTION * again:
+    again = max(stretch(rows, elsewhere(rows, best.when, p.score), p.power, PUSH)[1] for p in tried)
+    if best.gain < EXCEPTION * again:
         return model, members
-    there, candidate = _open(model, when), gated(event)
-    begun = evaluate(there.problem, vary(fit.v, candidate, [0.0]), (*fit.groups, *candidate.groups), fit.noise)
+    when = best.when
+    drifts, pushes = within_session(throughout, events, to_its_end(rows, when))
+    alike = (c for c in (*pushes, *drifts) if c.effect.law is best.event.effect.law and c.sites == best.event.sites)
+    named = next(alike)
+    there, candidate = _open(model, when), gated(named)
+    begun = evaluate(there.problem, vary(fit.v, candidate, best.constants), (*fit.groups, *candidate.groups), fit.noise)
     after = Model(there.problem, *optimise(there.problem, begun))
     push = Tried.of(candidate, after.fit, fit)
-    say(f"{event.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
-    others = [gated(c) for c in besides(throughout, events)]
-    alike = [push, *one_more(there, others, rng, say).tried]
-    if len(alike) > 1 and alike[1].gain > CLEARLY * push.gain + OWED:
-        say(f"{alike[1].candidate.name} explains that stretch better ({alike[1].gain - push.gain:+.1f} nats)")
-        alike[:2] = alike[1], push
-        after = Model(there.problem, *optimise(there.problem, alike[0].fit))
-    return after, (*members, member(there.problem, alike, fit)._replace(when=when))
+    say(f"{named.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
+    others = [gated(c) for c in drifts if c is not named]
+    found = [push, *one_more(there, others, rng, say).tried]
+    if len(found) > 1 and found[1].gain > CLEARLY * push.gain + OWED:
+        say(f"{found[1].candidate.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")
+        found[:2] = found[1], push
+        after = Model(there.problem, *optimise(there.problem, found[0].fit))
+    return after, (*members, member(there.problem, found, fit)._replace(when=when))
+
+
+def _push(model: Model, rows: Rows, event: Candidate, start: tuple[float, ...]) -> _Push:
+    """The stretch that an event's start explains best."""
+    problem, fit, _ = model
+    score, power = scores(fit, fit.e, trials(problem, [vary(fit.v, event, start)])[0])
+    when, gain = stretch(rows, score, power, PUSH)
+    while gain > 0 and at_start(rows, when):
+        # What a robot remembers of the time before its session looks like a push, and is not known.
+        score = elsewhere(rows, when, score)
+        when, gain = stretch(rows, score, power, PUSH)
+    acts = (rows.session == when.session) & (rows.time_s >= when.from_s) & (rows.time_s < when.to_s)
+    amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
+    constants = [c if of.shapes else amplitude * c for of, c in zip(event.effect.constants, start, strict=True)]
+    low, _ = problem.augmented.bounds
+    possible = all(c >= low[g.entries[0]] for c, g in zip(constants, event.groups, strict=True))
+    return _Push(event, tuple(map(float, constants)), when, gain if possible else 0.0, score, power)
 
 
 def _open(model: Model, when: When) -> Model:

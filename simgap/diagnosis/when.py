@@ -146,6 +146,11 @@ def at_start(rows: Rows, when: When) -> bool:
     return when.from_s <= time_s[min(PUSH, len(time_s)) - 1]
 
 
+def to_its_end(rows: Rows, when: When) -> bool:
+    """Whether a stretch lasts to the end of its session."""
+    return when.session is not None and when.to_s > rows.time_s[rows.session == when.session].max()
+
+
 def _sessions(rows: Rows) -> list[np.ndarray]:
     return [np.flatnonzero(rows.session == s) for s in np.unique(rows.session)]
 

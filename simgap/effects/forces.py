@@ -1,5 +1,7 @@
 """Loads and pushes that come from weight, ground and surroundings. `law(c[k, sites], step) -> push[b, 4]`."""
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -70,12 +72,27 @@ def _bias(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     return on_axes(step.layout, c[0])
 
 
-def _external(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """c, in the world's axes."""
-    out = on_axes(step.layout, c[0])
-    cos, sin = jnp.cos(step.now.heading), jnp.sin(step.now.heading)
-    x, y = cos * out[:, X] + sin * out[:, Y], -sin * out[:, X] + cos * out[:, Y]
-    return jnp.stack([x, y, out[:, Z], out[:, YAW]], axis=1)
+def _external(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
+    """R(heading)^T c_0 (cos c_1, sin c_1): along a direction of the world's."""
+    out = jnp.zeros_like(step.now.velocity)
+    for k, b in enumerate(_pushable(step.layout)):
+        along = c[1, k] - step.now.heading[b]
+        out = out + on_body(step.layout, b, X, c[0, k] * jnp.stack([jnp.cos(along), jnp.sin(along)]))
+    return out
+
+
+def _pushable(layout: Layout) -> list[int]:
+    """Bodies whose velocities along x and y are known."""
+    return [b for b in range(len(layout.bodies)) if all(layout.velocity[b, [X, Y]] >= 0)]
+
+
+def _pushable_sites(layout: Layout) -> tuple[Site, ...]:
+    return body_sites(layout, _pushable(layout), (X, Y))
+
+
+def _directions(scales: Scales, site: int) -> list[list[float]]:
+    """All round, in steps of 60 degrees: from the nearest of them on, the direction is fitted."""
+    return [[0.1, k * math.pi / 3] for k in range(-2, 4)]
 
 
 def _fraction_of_command(fraction: float):
@@ -127,8 +144,10 @@ EFFECTS = (
         "a steady drift of {drift} in the robot's own frame",
     ),
     Effect(
-        "external_push", "push", (Constant("velocity", "{u}"),), axis_sites, _fraction_of_command(0.2), _external,
-        "a disturbance from outside pushes by {velocity} along the world's axis", event=True, form="world_frame",
+        "external_push", "push", (Constant("velocity", "{u}", low=0.0), Constant("direction", "rad", shapes=True)),
+        _pushable_sites, _directions, _external,
+        "a disturbance from outside pushes by {velocity} towards {direction} in the world", event=True,
+        form="world_frame",
     ),
     Effect(
         "external_push", "push", (Constant("velocity", "{u}"),), axis_sites, _fraction_of_command(0.2), _bias,
