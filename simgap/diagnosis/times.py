@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from simgap.diagnosis.candidates import Candidate, gated, within_session
-from simgap.diagnosis.fit import Fit, evaluate, hold, optimise, refine, trials
+from simgap.diagnosis.fit import Fit, Problem, evaluate, hold, optimise, refine, trials
 from simgap.diagnosis.heldout import gain, seen_at
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.restricted import narrowest, of_rows
 from simgap.diagnosis.rivals import Member, member
-from simgap.diagnosis.screen import Evidence, Screening, Weighed, blocks, by_chance, vary, weigh
+from simgap.diagnosis.screen import Evidence, Screened, Screening, Weighed, blocks, by_chance, vary, weigh
 from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, Tried, lacking, one_more, without
 from simgap.diagnosis.when import (
     LASTING,
@@ -30,9 +30,12 @@ from simgap.diagnosis.when import (
     to_its_end,
     told,
 )
+from simgap.effects.regime import features
 
 OWED = 8.0
-"""Gain [nats] that an effect's beginning and end owe: two numbers, the best of some hundreds tried."""
+"""Gain [nats] that an effect's beginning and end owe: two numbers, the best of some hundreds tried,"""
+OWED_BY_REGIMES = 16.0
+"""and a regime, the best of thousands."""
 LATER = tuple(np.arange(0.0, 0.95, 0.15))
 """Shares of a session after which an effect may begin, where it is first looked for."""
 PARTS = (0.35, 0.65)
@@ -62,13 +65,13 @@ def acts_when(model: Model, members: tuple[Member, ...], unseen: Chunks, say: Sa
         # Those with shapes have an onset of their own.
         free = [(m, c) for m, c in hypotheses if not any(constant.shapes for constant in c.effect.constants)]
         tried = [r for m, c in free for r in _restrictions(m, c, model.fit.loglik)]
-        best = max(tried, key=lambda r: r.promise, default=None)
-        if best is None or best.promise <= OWED:
+        best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
+        if best is None or best.promise <= _owed(best.when):
             continue
         restricted = _behind_gate(_open(best.model, best.when), best.candidate)
         more = restricted.loglik - model.fit.loglik
         seen = seen_at(layout, unseen, best.when)
-        if more > OWED and (best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0):
+        if more > _owed(best.when) and (best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0):
             say(f"{best.candidate.name} acts {told(layout, best.when)} ({more:+.1f} nats)")
             return best.when
     return None
@@ -91,7 +94,7 @@ def _ways(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Mode
 def _restrictions(model: Model, candidate: Candidate, loglik: float) -> list[_Restriction]:
     """From a time on, during a stretch, in a regime: a hypothesis fitted as if it acted throughout."""
     problem, fit, _ = model
-    rows, found = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
+    rows, found = rows_of(problem.chunks), _apart(problem, candidate)
     score, power = scores(fit, evaluate(problem, without(fit, candidate.groups).v, (), fit.noise).e, fit.e)
     from_on, a = onset(rows, score, power)
     during, b = stretch(rows, score, power, LASTING)
@@ -114,7 +117,7 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
 
     The screening's hypotheses are weighed anew over what comes after some times, and above and below some edges.
     """
-    problem, fit, _ = model
+    problem = model.problem
     rows, found = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
     score, power, two_sided = screening.evidence
     starts = blocks(np.asarray(problem.chunks.counts))
@@ -122,23 +125,54 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
     # One by one: all rows for all of these looks would be gigabytes.
     each = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]
     weighed = Weighed(*(np.concatenate(fields) for fields in zip(*each, strict=True)))
-    p_value, _ = by_chance(weighed, LEVEL, rng)
+    p_value, threshold = by_chance(weighed, LEVEL, rng)
     say(f"the same from a time on, or in a regime: p = {p_value:.4f}")
-    if p_value > LEVEL:
+    statistic, of_regimes = weighed.statistic.reshape(len(looks), -1), np.array([look.regime for look in looks])
+    tried = []
+    for kind in (of_regimes, ~of_regimes):  # what acts from a time on shows in some regimes, and the other way round
+        among = np.where(kind[:, None], statistic, 0.0)
+        if among.max() >= threshold:
+            which, best = divmod(int(among.argmax()), len(score))
+            tried.append(_begun(model, screening.found[best], looks[which]))
+    best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
+    if best is None or best.promise <= _owed(best.when):
         return None
-    which, best = divmod(int(weighed.statistic.argmax()), len(score))
-    hypothesis, look = screening.found[best], looks[which]
+    say(f"{best.candidate.name} acts {told(problem.augmented.layout, best.when)} ({best.promise:+.1f} nats)")
+    return best.when
+
+
+def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
+    """When a hypothesis acts that shows in a look: it promises what it gains there, if the restriction is worth it."""
+    problem, fit, nuisance = model
     there = trials(problem, [vary(fit.v, hypothesis.candidate, hypothesis.start)])[0]
+    evidence = scores(fit, fit.e, there)
     if look.regime:
-        regime, more = narrowest(found, *scores(fit, fit.e, there), LEAST_SHARE)
+        regime, more = narrowest(_apart(problem, hypothesis.candidate), *evidence, LEAST_SHARE)
         when = When(regime=regime)
     else:
-        when, more = onset(rows, *scores(fit, fit.e, there), look.session)
+        rows = rows_of(problem.chunks)
+        when, more = onset(rows, *evidence, look.session)
         if look.session is not None:  # to its end
             last = rows.time_s[rows.session == look.session].max()
             when = when._replace(to_s=float(last) + problem.scales.time_step)
-    say(f"{hypothesis.candidate.name} acts {told(problem.augmented.layout, when)} ({more:+.1f} nats)")
-    return when if more > OWED else None
+    if more <= _owed(when):
+        return _Restriction(0.0, when, hypothesis.candidate, model)
+    opened, candidate = _open(model, when).problem, gated(hypothesis.candidate)
+    begun = evaluate(opened, vary(fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise)
+    return _Restriction(refine(opened, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model)
+
+
+def _owed(when: When) -> float:
+    return OWED if when.regime is None else OWED_BY_REGIMES
+
+
+def _apart(problem: Problem, candidate: Candidate) -> Float[np.ndarray, "n f"]:
+    """The features of every row, those of the commands that the effect acts on made one value: an effect that differs
+    with its own command is no other regime but another law."""
+    layout = problem.augmented.layout
+    own = [c for c in (f.name for f in layout.schema.command) if c in (*candidate.channels, *candidate.where.split())]
+    told_by = np.array([f.name.strip("|") in own for f in features(layout)])
+    return np.where(told_by, 0.0, of_rows(layout, problem.chunks))
 
 
 def _later(rows: Rows) -> Iterator[_Look]:
