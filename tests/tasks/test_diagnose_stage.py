@@ -15,6 +15,7 @@ from examples.drive import DRIVE
 from examples.record import record
 from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 from simgap.effects.effect import Scales
+from simgap.effects.regime import everywhere
 from simgap.types import Recording, RecordingError
 from tasks import diagnose, files
 from tasks.diagnose import Folders
@@ -30,7 +31,7 @@ STATEMENT: dict[str, Any] = {
 }  # fmt: skip
 SCALES = Scales(*(np.ones(2) for _ in Scales._fields[:-2]), duration=2.0, time_step=0.02)
 MODEL = AugmentedModel(
-    np.array([2.0, 4.0]), np.zeros(7), np.ones(2), np.full(2, 0.1), np.full(2, np.inf), np.eye(2), SCALES
+    np.array([2.0, 4.0]), *everywhere(np.zeros(7)), np.ones(2), np.full(2, 0.1), np.full(2, np.inf), np.eye(2), SCALES
 )
 EXPERIMENT = (np.arange(3) * 0.02, np.array([[0.0], [15.0], [-15.0]]))
 
@@ -98,7 +99,7 @@ def test_what_is_written_reads_back_and_an_old_experiment_goes(tmp_path: Path) -
     arrays = files.load_arrays(tmp_path / "augmented.npz")
     written = MODEL._asdict()
     written |= {f"scales_{name}": np.asarray(scale) for name, scale in written.pop("scales")._asdict().items()}
-    assert {name: a.tolist() for name, a in arrays.items()} == {n: a.tolist() for n, a in written.items()}
+    assert {name: a.tolist() for name, a in arrays.items()} == {n: np.asarray(a).tolist() for n, a in written.items()}
 
     diagnose.write.fn(tmp_path, found._replace(experiment=None), DRIVE.schema)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["augmented.npz", "diagnosis.html", "diagnosis.json"]
