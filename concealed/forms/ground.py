@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from concealed.form import Array, Form, Now, Size
+from concealed.form import SUBSTEPS, Array, Form, Now, Size
 from concealed.forms.command_path import UNITS, outputs_of
 from concealed.plain import COMMAND, TIME_STEP, turned
 
@@ -35,20 +35,28 @@ class StickSlip(OnAxis):
         if part != self.part:
             return u
         i, u = self.i, u.copy()
-        pulled = np.abs(u[:, i])
-        self._stuck &= pulled <= self.hold * self.m
-        moving = np.where(np.abs(v[:, i]) > 1e-6, np.sign(v[:, i]), np.sign(u[:, i]))
-        self._weak = pulled <= self.hold * self.m
-        u[:, i] = np.where(self._stuck, 0.0, u[:, i] - self.m * moving)
+        self._rubs = self.m * np.where(np.abs(v[:, i]) > 1e-6, np.sign(v[:, i]), np.sign(u[:, i]))
+        u[:, i] -= self._rubs
         return u
 
     def grip(self, now: Now, k: int, part: str, u: Array, before: Array, after: Array) -> Array:
         if part != self.part:
             return after
         i, after = self.i, after.copy()
-        self._stuck |= self._weak & (before[:, i] * after[:, i] <= 0) & (self.m > 0)
-        after[:, i] = np.where(self._stuck & (self.m > 0), 0.0, after[:, i])
+        # More pulls at what stands than its command: it turns with the base, and the axes of the world relax apart.
+        # Were it held against that by any force, friction of next to nothing would be a strong effect.
+        pull = after[:, i] / self._answer(now) + self._rubs
+        held = np.abs(pull) <= self.hold * self.m
+        self._stuck = held & (self._stuck | (before[:, i] * after[:, i] <= 0))
+        after[:, i] = np.where(self._stuck, 0.0, after[:, i])
         return after
+
+    def _answer(self, now: Now) -> Array:
+        """Share of a drive along the axis that becomes velocity within a substep [B]."""
+        alpha = now.alpha[:, :3] if self.part == "base" else now.alpha[:, 3:]
+        answer = 1 - alpha ** (now.duration[:, None] / SUBSTEPS)
+        turn = np.sin(now.yaw) ** 2 if self.i < 2 else 0.0
+        return (1 - turn) * answer[:, self.i] + turn * answer[:, 1 - self.i]
 
     def constants(self, magnitude: float) -> list[dict[str, Any]]:
         return [{"name": "loss", "value": magnitude, "unit": self.unit}]

@@ -1,12 +1,16 @@
 """Strength in nats means what it says: what the true form gains."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from concealed import case as cases
 from concealed import plain
 from concealed.case import Recipe, conceal, noise_of
+from concealed.catalogue import FORMS, OUTSIDE
 from concealed.plain import TIME_STEP
-from concealed.strength import HELD_OUT, reach_for
+from concealed.strength import HELD_OUT, Found, reach_for
 
 
 def test_the_strength_is_what_the_true_form_gains_on_noisy_recordings() -> None:
@@ -52,6 +56,33 @@ def test_a_case_has_the_strength_that_was_wanted(name: str, seed: int) -> None:
     for target in (10.0, 100.0):
         case = conceal(Recipe("single", (name,), target, "few", 1.0, False, False, False, False, False), seed)
         assert case.key["strength"] == pytest.approx(target, rel=0.35)
+
+
+FRICTION = [("coulomb_friction", seed, level) for seed in (0, 2, 4, 5) for level in (0.5, 2.0)]
+"""On axes along which the base's turning, or another axis, pulls."""
+
+
+@pytest.mark.parametrize(("name", "seed", "level"), [*((name, 1, 0.5) for name in (*FORMS, *OUTSIDE)), *FRICTION])
+def test_an_effect_of_next_to_nothing_has_no_strength(
+    name: str, seed: int, level: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def vanish(_: float, evaluate: Callable[[float], float]) -> Found:
+        some, less = evaluate(1e-3), evaluate(1e-5)
+        assert some < 2.5
+        assert less < max(1e-3 * some, 1e-9)  # with the square of the magnitude, but for thresholds
+        return Found(1e-5, less)
+
+    monkeypatch.setattr(cases, "reach_for", vanish)
+    case = conceal(Recipe("single", (name,), 50.0, "few", level, False, False, False, False, False), seed)
+    assert case.key["strength"] < 1e-3
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_a_weak_friction_is_one_that_can_be_seen(seed: int) -> None:
+    """Not one of next to nothing that has a strength all the same."""
+    case = conceal(Recipe("single", ("coulomb_friction",), 8.0, "few", 0.5, False, False, False, False, False), seed)
+    assert case.key["strength"] == pytest.approx(8.0, rel=0.35)
+    assert case.key["effects"][0]["magnitude"] > 1e-3
 
 
 def test_the_search_finds_thresholds_and_says_what_is_out_of_reach() -> None:
