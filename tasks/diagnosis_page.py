@@ -239,7 +239,8 @@ def _what(diagnosis: Values, evidence: Values) -> str:
     parts = [_card(effect, [law for law in laws if _shows(law, effect)]) for effect in effects]
     if not effects:
         parts.append(f"<p>{escape(_NO_EFFECTS.get(str(diagnosis['verdict']), 'No effect was found.'))}</p>")
-    return "".join(parts) + _nearest(diagnosis.get("resembles") or []) + _left_over(diagnosis.get("left_over") or {})
+    parts += [_nearest(diagnosis.get("resembles") or []), _left_over(diagnosis.get("left_over") or {})]
+    return "".join([*parts, _law(diagnosis.get("law") or [])])
 
 
 def _nearest(resembling: Sequence[Values]) -> str:
@@ -266,6 +267,18 @@ def _left_over(left: Values) -> str:
         f"<p>Noise cannot be foretold, but of what this leaves over the rows before foretell {shares} "
         f"({_fixed(left.get('nats'), 0)} nats): there is more than what is named.</p>"
     )
+
+
+def _law(terms: Sequence[Values]) -> str:
+    """What pushes the robot, by what it depends on, where the vocabulary has no word for it."""
+    if not terms:
+        return ""
+    items = "".join(
+        f"<li>{_code(t['axis'])} by {' and '.join(map(_code, t['depends_on']))} "
+        f"<small>{_fixed(t['gain_nats'], 1)} nats</small></li>"
+        for t in terms
+    )
+    return f"<p>Something without a name pushes the robot, beside all that is named:</p><ul>{items}</ul>"
 
 
 def _shows(law: Values, effect: Values) -> bool:

@@ -45,13 +45,18 @@ def silent(layout: Layout) -> BlackBox:
 
 
 def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
-    """What the black box sees; the state itself where the schema declares no bodies."""
+    """What the black box sees."""
+    return jnp.concatenate([seen(layout, state, commands[0]), commands[1:COMMANDS].ravel()])
+
+
+def seen(layout: Layout, state: Float[Array, " s"], command: Float[Array, " u"]) -> Float[Array, " n"]:
+    """State, in the bodies' own frames, and command; the state itself where the schema declares no bodies."""
     own = motion(layout, state)
     headings = state[jnp.array(_headings(layout), int)]
     turned = [jnp.sin(headings), jnp.cos(headings)]
     parts = [own.velocity.ravel(), own.position.ravel(), *turned] if layout.bodies else [state]
     loose = jnp.array([i for i, f in enumerate(layout.schema.state) if layout.bodies and not f.body], int)
-    return jnp.concatenate([*parts, state[loose], commands[:COMMANDS].ravel()])
+    return jnp.concatenate([*parts, state[loose], command])
 
 
 def _headings(layout: Layout) -> list[int]:
@@ -61,6 +66,12 @@ def _headings(layout: Layout) -> list[int]:
 
 def input_names(layout: Layout) -> list[str]:
     """What each input of the black box is called."""
+    before = [f"{f.name} {k} rows before" for k in range(1, COMMANDS) for f in layout.schema.command]
+    return [*seen_names(layout), *before]
+
+
+def seen_names(layout: Layout) -> list[str]:
+    """What each number that `seen` gives is called."""
     names = [
         f"{b} {q}" for b in layout.bodies for q in ("forward speed", "sideways speed", "vertical speed", "yaw rate")
     ]
@@ -70,8 +81,7 @@ def input_names(layout: Layout) -> list[str]:
     else:
         names += [f"{q} of {layout.schema.state[i].name}" for q in ("sine", "cosine") for i in _headings(layout)]
         names += [f.name for f in layout.schema.state if not f.body]
-    commands = layout.schema.command
-    return names + [f.name + (f" {k} rows before" if k else "") for k in range(COMMANDS) for f in commands]
+    return names + [f.name for f in layout.schema.command]
 
 
 def _features(box: BlackBox, z: Float[Array, " d"]) -> Float[Array, " k"]:
@@ -162,19 +172,3 @@ def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray
     said = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
     said[counts] = jax.vmap(lambda s, u: correct(layout, box, s, u))(*map(jnp.asarray, _seen(problem, v)))
     return said
-
-
-def dependence(problem: Problem, v: Variables, box: BlackBox, rng: np.random.Generator) -> list[tuple[str, float]]:
-    """Inputs by how much of the explained error goes when they are shuffled, greatest first: [(name, share)]."""
-    z, target = _design(problem, v)
-    scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
-    predict = jax.jit(lambda z: jax.vmap(lambda r: _features(box, r))(z) @ box.weights)
-    loss = lambda z: float((np.clip((target - np.asarray(predict(z))) / scale, -4, 4) ** 2).sum())  # noqa: E731
-    with_all = loss(z)
-    explained = float((np.clip(target / scale, -4, 4) ** 2).sum()) - with_all
-    shares = []
-    for i, name in enumerate(input_names(problem.augmented.layout)):
-        shuffled = z.copy()
-        shuffled[:, i] = rng.permutation(z[:, i])
-        shares.append((name, float(np.clip((loss(shuffled) - with_all) / max(explained, 1e-9), 0.0, 1.0))))
-    return sorted(shares, key=lambda s: -s[1])

@@ -8,7 +8,7 @@ import numpy as np
 from simgap.diagnosis.candidates import candidates, changed, gated, within_session
 from simgap.diagnosis.confidence import Spread, spread, told_from_nil
 from simgap.diagnosis.fit import Fit, Problem, evaluate, start, whitening
-from simgap.diagnosis.heldout import agrees, gain, seen_at
+from simgap.diagnosis.heldout import agrees, by_row, gain, seen_at
 from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
@@ -18,6 +18,7 @@ from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.times import acts_when, begins, pushed
+from simgap.diagnosis.unnamed import Law, no_law, unnamed
 from simgap.diagnosis.when import When, gate, rows_of, to_its_end
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
@@ -33,9 +34,10 @@ class Explanation(NamedTuple):
     """The best explanation of the recordings.
 
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
-    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over. unseen: the
-    held-out rows, gated as the effects are. when: when and where one of the effects acts, if not throughout. rounds:
-    what was tried. baseline: number of its sessions; with any, what is left over is what they do not leave as well.
+    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over; law: one
+    beside them that has no name. unseen: the held-out rows, gated as the effects are. when: when and where one of the
+    effects acts, if not throughout. rounds: what was tried. baseline: number of its sessions; with any, what is left
+    over is what they do not leave as well, and no law without a name is looked for.
     """
 
     problem: Problem
@@ -46,6 +48,7 @@ class Explanation(NamedTuple):
     members: tuple[Member, ...]
     scattered: list[Scatter]
     left: LeftOver
+    law: Law
     unseen: Chunks
     when: When | None
     rounds: list[Round]
@@ -59,7 +62,8 @@ class Explanation(NamedTuple):
         """
         if member.odds[member.candidate.effect.id] < LIKELY:
             return False
-        share = named_share(self.problem.augmented.layout, self.fit, member.without, self.left)
+        nameless = np.maximum(self.left.nats, self.law.nats(self.fit))
+        share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
         return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
 
     @property
@@ -125,7 +129,8 @@ def explain(
     def helps(problem: Problem, tried: Tried, owed: float) -> bool:
         # What acts in one session of training only is nothing to the others.
         elsewhere = not np.asarray(unseen.gate).any() and tried.candidate.groups[0].gated
-        holds = elsewhere or agrees(tried, gain(problem, unseen, tried.without, tried.fit), problem.chunks, owed)
+        gained = by_row(tried.without, tried.fit)
+        holds = elsewhere or agrees(gained, gain(problem, unseen, tried.without, tried.fit), problem.chunks, owed)
         return holds and (not baseline or differs(problem, tried, len(baseline)))
 
     say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
@@ -180,7 +185,8 @@ def explain(
     owed, rejected = LEAST_SHARE * sum(m.gain for m in members), searched.rounds[-1].rejected
     scattered = [s for s in scattered if s.gain > (max(owed, rejected) if s.rare else owed)]
     base = base or bare()
+    law = no_law(model, unseen) if baseline else unnamed(model, unseen, rng, say)
     return Explanation(
         model.problem, as_is, base.fit, model.fit, spread(*model), members, scattered,
-        leaves(model.problem, model.fit, len(baseline)), unseen, when, [*searched.rounds, *rounds], len(baseline),
+        leaves(model.problem, model.fit, len(baseline)), law, unseen, when, [*searched.rounds, *rounds], len(baseline),
     )  # fmt: skip

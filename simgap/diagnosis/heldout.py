@@ -1,25 +1,29 @@
 """What sessions that take no part in a fit say of it."""
 
 import numpy as np
+from jaxtyping import Float
 
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.search import Tried
 from simgap.diagnosis.when import When, gate, rows_of
 from simgap.layout import Layout
 
 
-def agrees(tried: Tried, heldout: float, chunks: Chunks, owed: float) -> bool:
-    """Whether held-out sessions that gain so many nats agree that an effect is there.
+def agrees(gained: Float[np.ndarray, " n"], heldout: float, chunks: Chunks, owed: float) -> bool:
+    """Whether held-out sessions that gain so many nats agree that something is there, with what fitted rows gain by it.
 
     They do where they gain. Where they lose, which they may by parameters that their motion depends on and the fitted
     sessions' hardly does, all sessions together must gain what is owed, were the one that speaks most for it left out.
     """
     if heldout > 0:
         return True
-    rows = (log_density(tried.fit.e, tried.fit.noise) - log_density(tried.without.e, tried.without.noise)).sum(1)
-    by_session = np.bincount(rows_of(chunks).session, rows)
+    by_session = np.bincount(rows_of(chunks).session, gained)
     return float(by_session.sum() - by_session.max()) + heldout > owed
+
+
+def by_row(without: Fit, with_it: Fit) -> Float[np.ndarray, " n"]:
+    """Log-likelihood [nats] that every row gains."""
+    return (log_density(with_it.e, with_it.noise) - log_density(without.e, without.noise)).sum(1)
 
 
 def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:

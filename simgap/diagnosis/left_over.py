@@ -81,10 +81,11 @@ def _foretold(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Fl
     return foretold
 
 
-def named_share(layout: Layout, fit: Fit, without: Fit, left: LeftOver) -> float:
+def named_share(layout: Layout, fit: Fit, without: Fit, nameless: Float[np.ndarray, " s"]) -> float:
     """Of what there is to explain in the outputs that an effect improves, the share that the effect explains.
 
-    `without` is the fit that lacks the effect, `left` what is left over with it. A position and its velocity are one.
+    `without` is the fit that lacks the effect; with it there is nameless gain [nats] in every output. A position and
+    its velocity are one.
     """
     more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
     gained = max(float(more.sum()), 0.0)
@@ -92,4 +93,4 @@ def named_share(layout: Layout, fit: Fit, without: Fit, left: LeftOver) -> float
     moved = layout.integrates >= 0
     either = touched[moved] | touched[layout.integrates[moved]]
     touched[moved], touched[layout.integrates[moved]] = either, either
-    return gained / max(gained + float(left.nats[touched].sum()), 1e-9)
+    return gained / max(gained + float(nameless[touched].sum()), 1e-9)

@@ -48,7 +48,7 @@ def excess(augmented: Augmented, chunks: Chunks, base: Float[np.ndarray, "C t s"
     t = np.broadcast_to(np.arange(counts.shape[1]), counts.shape)
     row = (np.asarray(chunks.row)[:, None] + t)[counts]
     session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
-    names, units = map(list, zip(*features(augmented.layout), strict=True))
+    names, units = map(list, zip(*((f.name, f.unit) for f in features(augmented.layout)), strict=True))
     values = of_rows(augmented.layout, chunks)
     return Excess(nats, np.clip(1 - power[1] / np.maximum(power[0], 1e-18), 0, 1), session, row, values, names, units)
 

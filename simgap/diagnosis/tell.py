@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from simgap.diagnosis import black_box, confidence, judge, locate, pictures, scatter_pictures, words
 from simgap.diagnosis.experiment import Experiment
@@ -78,8 +79,8 @@ def statement(
             "transitions": int(np.asarray(found.problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
-        "located": _located(found, sessions, contestants, verdict, left, share is not None, rng),
-        "effects": effects, "resembles": doubtful, "left_over": _left(found, left),
+        "located": _located(found, sessions, contestants, verdict, left),
+        "effects": effects, "resembles": doubtful, "left_over": _left(found, left), "law": _law(found),
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
@@ -129,7 +130,8 @@ def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) ->
         return share, "missing_physics"
     # What is periodic, or odd in single rows, can be foretold in part.
     accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
-    if found.members or share is not None or (found.left.nats.any() and not accounted):
+    nameless = found.left.nats.any() or found.law.terms
+    if found.members or share is not None or (nameless and not accounted):
         return share, "unexplained"
     if found.scattered:
         return share, "missing_physics"
@@ -144,10 +146,16 @@ def _left(found: Explanation, left: LeftOver) -> dict[str, Any]:
     return {"nats": float(left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
 
 
+def _law(found: Explanation) -> list[dict[str, Any]]:
+    """What the law without a name depends on, term by term."""
+    return [{"axis": t.axis, "depends_on": list(t.depends_on), "gain_nats": t.gain} for t in found.law.terms]
+
+
 def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str, chunks: Chunks) -> locate.Excess:
     """What the best explanation gains over the refitted simulator: named physics, or else what names nothing.
 
-    Of the latter, the better one: the black box, or the effects together with what can be foretold of what they leave.
+    Of the latter, the best one: the black box, or the effects together with a law without a name, or with what can be
+    foretold of what they leave.
     """
     problem = found.problem._replace(chunks=chunks)
     base, fitted = (raw_innovations(problem, f.v) for f in (found.base, found.fit))
@@ -156,14 +164,17 @@ def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str
     box = contestants["black_box"].box
     assert box is not None  # the black box is one
     predicted = black_box.predicted(problem, found.base.v, box)
-    counts = np.asarray(chunks.counts)
-    left = left_over(problem, evaluate(problem, found.fit.v, (), found.fit.noise))
-    foretold = np.zeros_like(fitted)
-    foretold[counts] = left.foretold @ np.linalg.inv(problem.whiten).T
-    nameless = (
-        locate.excess(problem.augmented, chunks, base, better) for better in (base - predicted, fitted - foretold)
-    )
-    return max(nameless, key=lambda e: e.nats.sum())
+    seen = evaluate(problem, found.fit.v, (), found.fit.noise)
+    with_law = found.law.fitted if chunks is found.problem.chunks else found.law.heldout
+
+    def less(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "C t s"]:
+        """The effects' innovations less decorrelated ones of the rows that count."""
+        part = np.zeros_like(fitted)
+        part[np.asarray(chunks.counts)] = e @ np.linalg.inv(problem.whiten).T
+        return fitted - part
+
+    nameless = (base - predicted, less(left_over(problem, seen).foretold), less(seen.e - with_law))
+    return max((locate.excess(problem.augmented, chunks, base, e) for e in nameless), key=lambda e: e.nats.sum())
 
 
 def _located(
@@ -172,8 +183,6 @@ def _located(
     contestants: dict[str, Contestant],
     verdict: str,
     left: LeftOver,
-    seen_by_box: bool,
-    rng: np.random.Generator,
 ) -> dict[str, Any]:
     problem = found.problem
     if verdict not in MISMATCH:
@@ -183,19 +192,18 @@ def _located(
         "outputs": locate.outputs(problem.augmented, where),
         "regimes": _regimes(found, where),
         "intervals": _intervals(found, where, sessions.fitted),
-        "depends_on": _depends_on(found, left, contestants["black_box"].box if seen_by_box else None, rng)
-        if verdict == "unexplained"
-        else [],
+        "depends_on": _depends_on(found, left) if verdict == "unexplained" else [],
     }
 
 
-def _depends_on(
-    found: Explanation, left: LeftOver, box: black_box.BlackBox | None, rng: np.random.Generator
-) -> list[dict[str, Any]]:
-    """What the nameless depends on, each with its share: the inputs of a black box that explains it, its own past."""
-    problem, depends = found.problem, [("its own past", float(left.share.max()))]
-    if box is not None:
-        depends += black_box.dependence(problem, found.base.v, box, rng)[:3]
+def _depends_on(found: Explanation, left: LeftOver) -> list[dict[str, Any]]:
+    """What the nameless depends on: its own past by what that foretells of it, else by shares of the law's gain."""
+    gains: dict[str, float] = {}
+    for term in found.law.terms:
+        for name in term.depends_on:
+            gains[name] = gains.get(name, 0.0) + term.gain
+    total = sum(t.gain for t in found.law.terms)
+    depends = [("its own past", float(left.share.max())), *((name, gain / total) for name, gain in gains.items())]
     return [{"input": i, "share": s} for i, s in sorted(depends, key=lambda d: -d[1]) if s > 0]
 
 

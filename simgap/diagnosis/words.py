@@ -55,6 +55,11 @@ def blind(power: float) -> str:
     )
 
 
+def law(term: dict[str, Any]) -> str:
+    """A term of a law without a name."""
+    return f"{term['axis']} is pushed by what depends on {' and '.join(term['depends_on'])}"
+
+
 def statement(told: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
     models = told["fit"]["models"]
@@ -66,7 +71,7 @@ def statement(told: dict[str, Any]) -> str:
     }[told["verdict"]]
     if told["verdict"] == "unexplained":
         where = ", ".join(o["name"] for o in told["located"]["outputs"][:3])
-        depends = ", ".join(d["input"] for d in told["located"]["depends_on"])
+        depends = ", ".join(d["input"] for d in told["located"]["depends_on"][:3])
         lines += f" It shows in {where}." if where else ""
         lines += f" It depends most on {depends}." if depends else ""
     if told["resembles"]:
@@ -76,6 +81,8 @@ def statement(told: dict[str, Any]) -> str:
         lines += " More is missing: " + ", ".join(
             f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]
         ) + " can be foretold from the rows before."  # fmt: skip
+    if told["law"] and told["verdict"] == "missing_physics":
+        lines += " Something without a name is left: " + "; ".join(law(term) for term in told["law"]) + "."
     if told["located"]["regimes"] and told["verdict"] == "missing_physics":
         rule = told["located"]["regimes"][0]
         lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."

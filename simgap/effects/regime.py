@@ -1,12 +1,13 @@
 """In which regime an effect acts: where what the robot does, or is told to do, lies above or below an edge."""
 
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from simgap.layout import YAW, Layout, motion
+from simgap.layout import YAW, Layout, Motion, Z, motion
 
 
 class Regime(NamedTuple):
@@ -34,10 +35,11 @@ def everywhere(theta: Float[np.ndarray, " P"]) -> Acting:
 
 
 class Feature(NamedTuple):
-    """What regimes are told by, and its unit."""
+    """What regimes are told by, its unit, and its value in a row, of the bodies' own motion, state and command."""
 
     name: str
     unit: str
+    of: Callable[[Motion, Float[Array, " s"], Float[Array, " u"]], Float[Array, ""]]
 
 
 def features(layout: Layout) -> list[Feature]:
@@ -45,39 +47,35 @@ def features(layout: Layout) -> list[Feature]:
 
     The own speed of a body that another carries is that beside the other's.
     """
-    found = []
-    for b, body in enumerate(layout.bodies):
-        if (layout.velocity[b, :3] >= 0).any():
-            found.append(Feature(f"{body} speed", "m/s"))
-            if layout.carrier[b] is not None:
-                found.append(Feature(f"{body} own speed", "m/s"))
-        if layout.velocity[b, YAW] >= 0:
-            found.append(Feature(f"{body} |yaw rate|", "rad/s"))
-        if layout.carrier[b] is not None:
-            found.append(Feature("reach" if sum(c is not None for c in layout.carrier) == 1 else f"{body} reach", "m"))
-        if layout.position[b, 2] >= 0:
-            found.append(Feature(f"{body} height", "m"))
-    for f in layout.schema.command:
-        found += [Feature(f.name, f.unit), Feature(f"|{f.name}|", f.unit)]
-    return found
+    return [*(f for b in range(len(layout.bodies)) for f in _of_body(layout, b)), *_of_commands(layout)]
+
+
+def _of_body(layout: Layout, b: int) -> Iterator[Feature]:
+    body, mounted = layout.bodies[b], layout.carrier[b] is not None
+    moves = [int(i) for i in layout.velocity[b, :YAW] if i >= 0]
+    if moves:
+        yield Feature(f"{body} speed", "m/s", lambda own, state, command: jnp.linalg.norm(state[np.array(moves)]))
+        if mounted:
+            yield Feature(f"{body} own speed", "m/s", lambda own, *_: jnp.linalg.norm(own.velocity[b, :YAW]))
+    if layout.velocity[b, YAW] >= 0:
+        yield Feature(f"{body} |yaw rate|", "rad/s", lambda own, *_: jnp.abs(own.velocity[b, YAW]))
+    if mounted:
+        only = sum(c is not None for c in layout.carrier) == 1
+        yield Feature("reach" if only else f"{body} reach", "m", lambda own, *_: jnp.linalg.norm(own.position[b, :Z]))
+    if layout.position[b, Z] >= 0:
+        yield Feature(f"{body} height", "m", lambda own, *_: own.position[b, Z])
+
+
+def _of_commands(layout: Layout) -> Iterator[Feature]:
+    for i, f in enumerate(layout.schema.command):
+        yield Feature(f.name, f.unit, lambda own, state, command, i=i: command[i])
+        yield Feature(f"|{f.name}|", f.unit, lambda own, state, command, i=i: jnp.abs(command[i]))
 
 
 def values(layout: Layout, state: Float[Array, " s"], command: Float[Array, " u"]) -> Float[Array, " f"]:
-    """The features of one row, in their order."""
-    own, found = motion(layout, state), []
-    for b in range(len(layout.bodies)):
-        if (layout.velocity[b, :3] >= 0).any():
-            found.append(jnp.linalg.norm(state[layout.velocity[b, :3][layout.velocity[b, :3] >= 0]]))
-            if layout.carrier[b] is not None:
-                found.append(jnp.linalg.norm(own.velocity[b, :3]))
-        if layout.velocity[b, YAW] >= 0:
-            found.append(jnp.abs(own.velocity[b, YAW]))
-        if layout.carrier[b] is not None:
-            found.append(jnp.linalg.norm(own.position[b, :2]))
-        if layout.position[b, 2] >= 0:
-            found.append(own.position[b, 2])
-    commands = jnp.stack([command, jnp.abs(command)], axis=1).ravel()
-    return jnp.concatenate([jnp.stack(found), commands])
+    """The features of one row."""
+    own = motion(layout, state)
+    return jnp.stack([f.of(own, state, command) for f in features(layout)])
 
 
 def holds(layout: Layout, regime: Regime, state: Float[Array, " s"], command: Float[Array, " u"]) -> Bool[Array, ""]:
@@ -87,5 +85,5 @@ def holds(layout: Layout, regime: Regime, state: Float[Array, " s"], command: Fl
 
 def words(layout: Layout, regime: Regime) -> str:
     """As a rule: `reach > 0.93 m`."""
-    name, unit = features(layout)[regime.feature]
-    return f"{name} {'>' if regime.side > 0 else '<'} {regime.edge:.3g} {unit}"
+    feature = features(layout)[regime.feature]
+    return f"{feature.name} {'>' if regime.side > 0 else '<'} {regime.edge:.3g} {feature.unit}"

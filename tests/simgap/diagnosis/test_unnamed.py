@@ -1,0 +1,108 @@
+"""Laws without a name: their directions against runs, those that are there against chance, and what is said of them."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from outside import by_heading, by_speed_and_turn, unheard
+from planted import SPOT
+from small import RICH, problem, sessions
+
+from examples.drive import DRIVE
+from simgap.diagnosis.candidates import candidates
+from simgap.diagnosis.dictionary import Quantity, dictionary, quantities, values
+from simgap.diagnosis.echo import direction, echoes
+from simgap.diagnosis.fit import Problem, evaluate, optimise, replaced, start, trials, whitening
+from simgap.diagnosis.innovations import Variables, cut
+from simgap.diagnosis.search import Model
+from simgap.diagnosis.unnamed import Law, unnamed
+from simgap.effects.augmented import Augmented
+from simgap.types import Recording
+
+
+def fitted(training: list[Recording]) -> Model:
+    of = problem(training)
+    of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
+    return Model(of, *optimise(of, evaluate(of, start(of), ())))
+
+
+def law_in(recorded: list[Recording], seed: int = 0) -> Law:
+    training, heldout = recorded[:-1], recorded[-1:]
+    model = fitted(training)
+    return unnamed(model, cut(heldout, 1 / 15, least=len(model.problem.chunks.row)), np.random.default_rng(seed), print)
+
+
+def drifting(of: Problem, v: Variables, where: str, size: float) -> Variables:
+    """With a drift where the gate is open."""
+    (drift,) = (c for c in candidates(of.augmented, of.scales) if c.name == f"body_frame_bias on {where}")
+    return v._replace(gated=replaced(v.gated, drift.groups[0].entries, size))
+
+
+@pytest.mark.parametrize("where", ["base_vx", "base_wz", "ee_vz"])
+def test_echoes_add_up_to_what_pushes_change_in_a_run(where: str) -> None:
+    """With a memory of 0.5 and a trust of 0.5, half of a push is left in the next row, and so on."""
+    of = problem(sessions({}, RICH)[0])
+    v, push = start(of), np.random.default_rng(0).normal(size=of.chunks.gate.shape).astype(np.float32)
+    open_by = of._replace(chunks=of.chunks._replace(gate=jnp.asarray(push)))
+    ran = (trials(open_by, [drifting(of, v, where, 0.01)])[0] - trials(of, [v])[0]) / 0.01
+    (made,) = direction(of, echoes(of, v)[where], [push[:, :-1]])
+    assert np.linalg.norm(made - ran) < 0.03 * np.linalg.norm(ran)
+
+
+def test_along_the_worlds_axes_a_push_is_the_same_whichever_way_the_robot_looks() -> None:
+    of = problem(sessions({}, RICH)[0])
+    v = start(of)
+    heading = np.asarray(of.chunks.state)[:, :, 2]
+    ahead, across = np.cos(heading), -np.sin(heading)
+    ran = sum(
+        (trials(of._replace(chunks=of.chunks._replace(gate=jnp.asarray(push))), [drifting(of, v, where, 0.01)])[0]
+         - trials(of, [v])[0]) / 0.01
+        for where, push in (("base_vx", ahead), ("base_vy", across))
+    )  # fmt: skip
+    (made,) = direction(of, echoes(of, v)["base along the world's x"], [np.ones(of.chunks.gate.shape)[:, :-1]])
+    assert np.linalg.norm(made - ran) < 0.05 * np.linalg.norm(ran)
+
+
+@pytest.mark.parametrize("augmented", [SPOT, Augmented(DRIVE)], ids=["spot", "drive"])
+def test_every_quantity_has_a_name(augmented: Augmented) -> None:
+    names = [q.name for q in quantities(augmented.layout)]
+    assert len(set(names)) == len(names)
+
+
+def test_functions_have_no_mean_and_do_not_explode_beyond_what_they_are_made_from() -> None:
+    of = problem(sessions({}, RICH)[0])
+    known, z = quantities(of.augmented.layout), values(of, start(of))
+    assert z.shape[-1] == len(known)
+    rows = z[np.asarray(of.chunks.counts)]
+    functions = dictionary(known, rows)
+    made = np.stack([f.of(rows) for f in functions])
+    np.testing.assert_allclose(made.mean(1), 0, atol=1e-4)
+    assert (made.std(1) > 0).mean() > 0.99
+    far = np.stack([f.of(100 * rows) for f in functions])
+    assert np.abs(far).max() < 40
+    assert {n for f in functions for n in f.depends_on} <= {q.name for q in known}
+
+
+def test_of_what_does_not_vary_there_is_no_function() -> None:
+    known = [Quantity("rests"), Quantity("moves")]
+    z = np.stack([np.full(50, 3.0), np.linspace(-1, 1, 50)], axis=1)
+    assert {f.depends_on for f in dictionary(known, z)} == {("moves",)}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_of_noise_there_is_no_law(seed: int) -> None:
+    training, heldout = sessions({}, seed)
+    assert law_in([*training, *heldout]).terms == ()
+
+
+def test_a_product_of_two_speeds_is_found_with_its_axis_and_what_it_depends_on() -> None:
+    law = law_in(unheard(by_speed_and_turn, RICH))
+    first = law.terms[0]
+    assert first.axis == "ee_vz"
+    assert set(first.depends_on) <= {"base forward speed", "base yaw rate", "cmd_base_vx", "cmd_base_wz"}
+    assert len(first.depends_on) == 2
+
+
+def test_a_drift_along_the_worlds_axis_is_found_there() -> None:
+    law = law_in(unheard(by_heading, RICH))
+    assert law.terms[0].axis == "ee along the world's x"
+    assert {n for t in law.terms for n in t.depends_on} & {"sine of base_yaw", "cosine of base_yaw"}
