@@ -5,6 +5,7 @@ in every row add up to what any law of pushes, however it varies from row to row
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,10 +14,13 @@ from jaxtyping import Float
 from simgap.diagnosis.candidates import candidates
 from simgap.diagnosis.fit import Group, Problem, raw_innovations, replaced, side_by_side
 from simgap.diagnosis.innovations import Variables, estimates_of
+from simgap.diagnosis.screen import Evidence
 from simgap.layout import X, Y
 
 ROWS = 8
 """Rows in which a push shows."""
+LEAST_LEFT = 0.02
+"""Share of what pushes change that a model cannot absorb, below which what is left is rounding."""
 
 Echo = Float[np.ndarray, "C T-1 k s"]
 """What a push of one unit in each row changes in the decorrelated innovations of that row and the k - 1 after it."""
@@ -67,3 +71,59 @@ def direction(problem: Problem, echo: Echo, pushes: Sequence[Float[np.ndarray, "
     for k in range(1, ROWS):
         d[:, :, k:] += each[:, :, :-k] * echo[:, :-k, k]
     return d[:, np.asarray(problem.chunks.counts)]
+
+
+class Heard(NamedTuple):
+    """What a push of one unit in each row does to the likelihood, so that laws are weighed without their directions.
+
+    score: along the residual. overlap: products of the echoes of pushes k = 0 ... ROWS - 1 rows apart. absorbed: the
+    part along each of the r directions that the model absorbs.
+    """
+
+    score: Float[np.ndarray, "C T-1"]
+    overlap: Float[np.ndarray, "k C T-1"]
+    absorbed: Float[np.ndarray, "C T-1 r"]
+
+
+def hear(
+    problem: Problem,
+    echo: Echo,
+    root: Float[np.ndarray, "n s"],
+    residual: Float[np.ndarray, " n*s"],
+    basis: Float[np.ndarray, "n*s r"],
+) -> Heard:
+    """Of one axis; `root` are the roots of the weights, that residual and basis hold already."""
+    counts = np.asarray(problem.chunks.counts)
+
+    def placed(rows: np.ndarray) -> np.ndarray:
+        """What belongs to rows that count, in the chunks, and nothing behind their ends."""
+        found = np.zeros((counts.shape[0], counts.shape[1] + ROWS, *rows.shape[1:]), np.float32)
+        found[:, : counts.shape[1]][counts] = rows
+        return found
+
+    outputs, rows = root.shape[1], counts.shape[1]
+    weight, rest = placed(root), placed(residual.reshape(-1, outputs))
+    along = placed(basis.reshape(len(root), outputs, -1))
+    each = [echo[:, :, k] * weight[:, k : k + rows] for k in range(ROWS)]
+    later = lambda a, k: np.concatenate([a[:, k:], np.zeros_like(a[:, :k])], axis=1)  # noqa: E731
+    total = lambda parts: np.sum(list(parts), axis=0)  # noqa: E731
+    return Heard(
+        -total((each[k] * rest[:, k : k + rows]).sum(2) for k in range(ROWS)),
+        np.stack([total((each[j + k] * later(each[j], k)).sum(2) for j in range(ROWS - k)) for k in range(ROWS)]),
+        total(np.einsum("cts,ctsr->ctr", each[k], along[:, k : k + rows]) for k in range(ROWS)),
+    )
+
+
+def evidence(heard: Heard, pushes: Sequence[Float[np.ndarray, "C T-1"]]) -> Evidence:
+    """What speaks for laws of pushes, by the row in which they push: score, and what the model cannot absorb of the
+    information."""
+    each = np.stack(pushes).astype(np.float32)
+    met = each * heard.overlap[0]
+    for k in range(1, ROWS):
+        met[:, :, :-k] += heard.overlap[k][:, :-k] * each[:, :, k:]
+        met[:, :, k:] += heard.overlap[k][:, :-k] * each[:, :, :-k]
+    score, power = ((each * a).reshape(len(each), -1) for a in (heard.score, met))
+    absorbed = each.reshape(len(each), -1) @ heard.absorbed.reshape(score.shape[1], -1)
+    left = 1 - (absorbed**2).sum(1) / np.maximum(power.sum(1), 1e-9)
+    left = np.where(left > LEAST_LEFT, left, 0.0)[:, None]
+    return Evidence(score * (left > 0), power * left, np.full(len(each), True))

@@ -12,12 +12,13 @@ from simgap.diagnosis.heldout import agrees, by_row, gain, seen_at
 from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
+from simgap.diagnosis.pushes import pushed
 from simgap.diagnosis.rivals import Member, defend, outshone
 from simgap.diagnosis.scatter import scatter
 from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
 from simgap.diagnosis.since import acted_before, behind_gate, differs, leaves, scatter_since
-from simgap.diagnosis.times import acts_when, begins, pushed
+from simgap.diagnosis.times import acts_when, begins
 from simgap.diagnosis.unnamed import Law, no_law, unnamed
 from simgap.diagnosis.when import When, gate, rows_of, to_its_end
 from simgap.effects.augmented import Augmented
@@ -149,9 +150,10 @@ def explain(
         whole = problem, unseen, searched, model, members, rounds
         problem = problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when)))
         unseen = seen_at(layout, unseen, when)
-        # In one session it may have been a push as well.
-        within = within_session(throughout, events, to_its_end(rows_of(chunks), when))
-        behind = throughout if when.session is None else [c for some in within for c in some]
+        behind = throughout
+        if when.session is not None:  # it may have been a push as well
+            drifts, pushes = within_session(throughout, events, to_its_end(rows_of(chunks), when))
+            behind = [*drifts, *pushes]
         hypotheses = [*throughout, *(gated(c) for c in behind)]
         searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)

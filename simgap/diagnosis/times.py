@@ -1,35 +1,20 @@
-"""Whether effects act throughout: from a time on, during a stretch of one session, in a regime, or as a push."""
+"""Whether effects act throughout, or from a time on, during a stretch of one session, or in a regime."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.candidates import Candidate, gated, within_session
-from simgap.diagnosis.fit import Fit, Problem, evaluate, hold, optimise, refine, trials
+from simgap.diagnosis.candidates import Candidate, gated
+from simgap.diagnosis.fit import Fit, Problem, evaluate, hold, refine, trials
 from simgap.diagnosis.heldout import gain, seen_at
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.restricted import narrowest, of_rows
-from simgap.diagnosis.rivals import Member, member
+from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.screen import Evidence, Screened, Screening, Weighed, blocks, by_chance, vary, weigh
-from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, Tried, lacking, one_more, without
-from simgap.diagnosis.when import (
-    LASTING,
-    PUSH,
-    Rows,
-    When,
-    at_start,
-    elsewhere,
-    gate,
-    onset,
-    rows_of,
-    scores,
-    stretch,
-    stretch_by_chance,
-    to_its_end,
-    told,
-)
+from simgap.diagnosis.search import LEAST_SHARE, LEVEL, Model, Say, lacking, without
+from simgap.diagnosis.when import LASTING, Rows, When, gate, onset, rows_of, scores, stretch, told
 from simgap.effects.regime import features
 
 OWED = 8.0
@@ -40,10 +25,6 @@ LATER = tuple(np.arange(0.0, 0.95, 0.15))
 """Shares of a session after which an effect may begin, where it is first looked for."""
 PARTS = (0.35, 0.65)
 """Shares of the rows above and below which a regime may begin, where it is first looked for."""
-CLEARLY = 1.1
-"""Times the gain of a push that something else must gain which acts as long."""
-EXCEPTION = 3.0
-"""Times the gain of the best other stretch that a push must gain."""
 
 
 class _Restriction(NamedTuple):
@@ -68,7 +49,7 @@ def acts_when(model: Model, members: tuple[Member, ...], unseen: Chunks, say: Sa
         best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
         if best is None or best.promise <= _owed(best.when):
             continue
-        restricted = _behind_gate(_open(best.model, best.when), best.candidate)
+        restricted = _behind_gate(opened(best.model, best.when), best.candidate)
         more = restricted.loglik - model.fit.loglik
         seen = seen_at(layout, unseen, best.when)
         if more > _owed(best.when) and (best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0):
@@ -144,8 +125,7 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
 def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
     """When a hypothesis acts that shows in a look: it promises what it gains there, if the restriction is worth it."""
     problem, fit, nuisance = model
-    there = trials(problem, [vary(fit.v, hypothesis.candidate, hypothesis.start)])[0]
-    evidence = scores(fit, fit.e, there)
+    evidence = scores(fit, fit.e, trials(problem, [vary(fit.v, hypothesis.candidate, hypothesis.start)])[0])
     if look.regime:
         regime, more = narrowest(_apart(problem, hypothesis.candidate), *evidence, LEAST_SHARE)
         when = When(regime=regime)
@@ -157,9 +137,9 @@ def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
             when = when._replace(to_s=float(last) + problem.scales.time_step)
     if more <= _owed(when):
         return _Restriction(0.0, when, hypothesis.candidate, model)
-    opened, candidate = _open(model, when).problem, gated(hypothesis.candidate)
-    begun = evaluate(opened, vary(fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise)
-    return _Restriction(refine(opened, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model)
+    there, candidate = opened(model, when).problem, gated(hypothesis.candidate)
+    begun = evaluate(there, vary(fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise)
+    return _Restriction(refine(there, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model)
 
 
 def _owed(when: When) -> float:
@@ -192,78 +172,8 @@ def _beyond(found: Float[np.ndarray, "n f"]) -> Iterator[_Look]:
             yield _Look(column <= edge, regime=True)
 
 
-class _Push(NamedTuple):
-    """An event and its best stretch: what it may gain there [nats], and with which constants."""
-
-    event: Candidate
-    constants: tuple[float, ...]
-    when: When
-    gain: float
-    score: Float[np.ndarray, " n"]
-    power: Float[np.ndarray, " n"]
-
-
-def pushed(
-    model: Model,
-    members: tuple[Member, ...],
-    events: Sequence[Candidate],
-    throughout: Sequence[Candidate],
-    rng: np.random.Generator,
-    say: Say,
-) -> tuple[Model, tuple[Member, ...]]:
-    """A push during a stretch of one session, if one is more than the best of all stretches by chance.
-
-    Or what else explains that stretch, where it does so clearly better.
-    """
-    problem, fit, _ = model
-    rows = rows_of(problem.chunks)
-    tried = [_push(model, rows, event, start) for event in events for start in event.starts]
-    if not tried or any(m.when for m in members):
-        return model, members
-    best = max(tried, key=lambda p: p.gain)
-    chance = stretch_by_chance(rows, best.score, best.power, LEVEL / len(tried), rng)
-    if best.gain < chance + LEAST_SHARE * sum(m.gain for m in members):
-        return model, members
-    # A push is an exception: what recurs is something else.
-    again = max(stretch(rows, elsewhere(rows, best.when, p.score), p.power, PUSH)[1] for p in tried)
-    if best.gain < EXCEPTION * again:
-        return model, members
-    when = best.when
-    drifts, pushes = within_session(throughout, events, to_its_end(rows, when))
-    alike = (c for c in (*pushes, *drifts) if c.effect.law is best.event.effect.law and c.sites == best.event.sites)
-    named = next(alike)
-    there, candidate = _open(model, when), gated(named)
-    begun = evaluate(there.problem, vary(fit.v, candidate, best.constants), (*fit.groups, *candidate.groups), fit.noise)
-    after = Model(there.problem, *optimise(there.problem, begun))
-    push = Tried.of(candidate, after.fit, fit)
-    say(f"{named.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
-    others = [gated(c) for c in drifts if c is not named]
-    found = [push, *one_more(there, others, rng, say).tried]
-    if len(found) > 1 and found[1].gain > CLEARLY * push.gain + OWED:
-        say(f"{found[1].candidate.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")
-        found[:2] = found[1], push
-        after = Model(there.problem, *optimise(there.problem, found[0].fit))
-    return after, (*members, member(there.problem, found, fit)._replace(when=when))
-
-
-def _push(model: Model, rows: Rows, event: Candidate, start: tuple[float, ...]) -> _Push:
-    """The stretch that an event's start explains best."""
-    problem, fit, _ = model
-    score, power = scores(fit, fit.e, trials(problem, [vary(fit.v, event, start)])[0])
-    when, gain = stretch(rows, score, power, PUSH)
-    while gain > 0 and at_start(rows, when):
-        # What a robot remembers of the time before its session looks like a push, and is not known.
-        score = elsewhere(rows, when, score)
-        when, gain = stretch(rows, score, power, PUSH)
-    acts = (rows.session == when.session) & (rows.time_s >= when.from_s) & (rows.time_s < when.to_s)
-    amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
-    constants = [c if of.shapes else amplitude * c for of, c in zip(event.effect.constants, start, strict=True)]
-    low, _ = problem.augmented.bounds
-    possible = all(c >= low[g.entries[0]] for c, g in zip(constants, event.groups, strict=True))
-    return _Push(event, tuple(map(float, constants)), when, gain if possible else 0.0, score, power)
-
-
-def _open(model: Model, when: When) -> Model:
+def opened(model: Model, when: When) -> Model:
+    """The model with its gate open when an effect acts."""
     layout, chunks = model.problem.augmented.layout, model.problem.chunks
     return model._replace(problem=model.problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when))))
 

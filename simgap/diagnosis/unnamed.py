@@ -12,18 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.dictionary import Function, dictionary, quantities, values
-from simgap.diagnosis.echo import Echo, direction, echoes
+from simgap.diagnosis.echo import Echo, direction, echoes, evidence, hear
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, nuisance_columns, side_by_side, weights
 from simgap.diagnosis.heldout import agrees, by_row
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.screen import Evidence, Weighed, basis_of, blocks, by_chance, weigh
+from simgap.diagnosis.screen import Weighed, basis_of, blocks, by_chance, weigh
 from simgap.diagnosis.search import LEVEL, Model, Say, absorbing
 
 MOST_TERMS = 4
 AT_ONCE = 64
-"""Functions whose directions are kept in memory at once."""
-LEAST_LEFT = 0.02
-"""Share of a direction that the model cannot absorb, below which what is left is rounding."""
+"""Functions that are weighed at once."""
 OWED = -np.log(LEVEL)
 """Nats that held-out sessions owe: as many they gain by chance with probability `LEVEL` at most, since a likelihood
 ratio has a mean of one. What the best of ten thousand gains by chance on fitted sessions is not known well enough."""
@@ -128,18 +126,15 @@ def _best(
     basis = basis_of(np.stack([(c * root).reshape(-1) for c in columns]))
     residual = (rows.e * root).reshape(-1)
     residual = residual - basis @ (basis.T @ residual)
-    starts = blocks(np.asarray(rows.problem.chunks.counts))
+    starts = blocks(np.full(rows.z.shape[:2], True))
 
-    def weighed(axis: str, first: int) -> Weighed:
-        d = (rows.directions(axis, functions[first : first + AT_ONCE]) * root).reshape(-1, len(residual))
-        score, power = (a.reshape(len(d), len(rows.e), -1).sum(2) for a in (-d * residual, d * d))
-        left = 1 - ((d @ basis) ** 2).sum(1) / np.maximum(power.sum(1), 1e-9)
-        left = np.where(left > LEAST_LEFT, left, 0.0)[:, None]
-        return weigh(Evidence(score * (left > 0), power * left, np.full(len(d), True)), starts)
+    def weighed(axis: str) -> list[Weighed]:
+        heard = hear(rows.problem, rows.echoes[axis], root, residual, basis)
+        parts = (pushes[first : first + AT_ONCE] for first in range(0, len(pushes), AT_ONCE))
+        return [weigh(evidence(heard, part), starts) for part in parts]
 
-    axes = list(rows.echoes)
-    batches = [(axis, first) for axis in axes for first in range(0, len(functions), AT_ONCE)]
-    every = side_by_side(lambda batch: weighed(*batch), batches)
+    axes, pushes = list(rows.echoes), [f.of(rows.z) for f in functions]
+    every = [w for some in side_by_side(weighed, axes) for w in some]
     together = Weighed(*(np.concatenate(a) for a in zip(*every, strict=True)))
     p_value, threshold = by_chance(together, LEVEL, rng)
     best = int(together.statistic.argmax())

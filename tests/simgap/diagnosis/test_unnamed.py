@@ -10,7 +10,7 @@ from small import RICH, problem, sessions
 from examples.drive import DRIVE
 from simgap.diagnosis.candidates import candidates
 from simgap.diagnosis.dictionary import Quantity, dictionary, quantities, values
-from simgap.diagnosis.echo import direction, echoes
+from simgap.diagnosis.echo import direction, echoes, evidence, hear
 from simgap.diagnosis.fit import Problem, evaluate, optimise, replaced, start, trials, whitening
 from simgap.diagnosis.innovations import Variables, cut
 from simgap.diagnosis.search import Model
@@ -60,6 +60,19 @@ def test_along_the_worlds_axes_a_push_is_the_same_whichever_way_the_robot_looks(
     )  # fmt: skip
     (made,) = direction(of, echoes(of, v)["base along the world's x"], [np.ones(of.chunks.gate.shape)[:, :-1]])
     assert np.linalg.norm(made - ran) < 0.05 * np.linalg.norm(ran)
+
+
+def test_what_is_heard_of_pushes_is_what_their_directions_say() -> None:
+    of = problem(sessions({}, RICH)[0])
+    v, rng = start(of), np.random.default_rng(0)
+    n, s = evaluate(of, v, ()).e.shape
+    root, residual = rng.uniform(0.5, 2.0, (n, s)).astype(np.float32), rng.normal(size=n * s).astype(np.float32)
+    basis = np.linalg.qr(rng.normal(size=(n * s, 5)))[0].astype(np.float32)
+    push, echo = rng.normal(size=of.chunks.gate.shape)[:, :-1], echoes(of, v)["ee_vy"]
+    score, power, _ = evidence(hear(of, echo, root, residual, basis), [push])
+    d = (direction(of, echo, [push])[0] * root).reshape(-1)
+    assert score.sum() == pytest.approx(-d @ residual, rel=1e-3)
+    assert power.sum() == pytest.approx(d @ d - ((d @ basis) ** 2).sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize("augmented", [SPOT, Augmented(DRIVE)], ids=["spot", "drive"])
