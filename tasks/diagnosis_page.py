@@ -270,7 +270,7 @@ def _left_over(left: Values) -> str:
 
 
 def _law(terms: Sequence[Values]) -> str:
-    """What pushes the robot, by what it depends on, where the vocabulary has no word for it."""
+    """What pushes the robot beside all that is named, by what it depends on."""
     if not terms:
         return ""
     items = "".join(
@@ -278,7 +278,8 @@ def _law(terms: Sequence[Values]) -> str:
         f"<small>{_fixed(t['gain_nats'], 1)} nats</small></li>"
         for t in terms
     )
-    return f"<p>Something without a name pushes the robot, beside all that is named:</p><ul>{items}</ul>"
+    said = "Beside all that is named, something pushes the robot that depends on its motion, place or commands:"
+    return f"<p>{said}</p><ul>{items}</ul>"
 
 
 def _shows(law: Values, effect: Values) -> bool:

@@ -57,7 +57,7 @@ def blind(power: float) -> str:
 
 def law(term: dict[str, Any]) -> str:
     """A term of a law without a name."""
-    return f"{term['axis']} is pushed by what depends on {' and '.join(term['depends_on'])}"
+    return f"{term['axis']} is pushed, depending on {' and '.join(term['depends_on'])}"
 
 
 def statement(told: dict[str, Any]) -> str:
@@ -82,9 +82,11 @@ def statement(told: dict[str, Any]) -> str:
             f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]
         ) + " can be foretold from the rows before."  # fmt: skip
     if told["law"] and told["verdict"] == "missing_physics":
-        lines += " Something without a name is left: " + "; ".join(law(term) for term in told["law"]) + "."
-    if told["located"]["regimes"] and told["verdict"] == "missing_physics":
-        rule = told["located"]["regimes"][0]
+        lines += " And more that is not named: " + "; ".join(law(term) for term in told["law"]) + "."
+    acts_in = [e["regime"] for e in told["effects"]]
+    elsewhere = [r for r in told["located"]["regimes"] if r["when"] not in acts_in]
+    if elsewhere and told["verdict"] == "missing_physics":
+        rule = elsewhere[0]
         lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."
     return lines + _improvement(models)
 

@@ -297,6 +297,22 @@ def test_effects_of_one_id_show_each_its_own_pictures() -> None:
     assert said.index("Of the base") < said.index("Of the ee")
 
 
+def test_the_regime_of_an_effect_stands_on_its_card() -> None:
+    diagnosis, evidence = missing_physics()
+    diagnosis["effects"][0]["regime"] = "base height > 0.4 m"
+    assert "acts where base height > 0.4 m" in re.sub(r"(where)(\S)", r"\1 \2", text(page(diagnosis, evidence)))
+
+
+def test_a_law_without_a_name_is_told_term_by_term_beside_what_is_named() -> None:
+    diagnosis, evidence = missing_physics()
+    terms = [{"axis": "base_vx", "depends_on": ["base_x", "base_y"], "gain_nats": 41.26},
+             {"axis": "ee_vz", "depends_on": ["reach"], "gain_nats": 17.0}]  # fmt: skip
+    assert "something pushes" not in text(page(diagnosis, evidence))
+    said = text(page(diagnosis | {"law": terms}, evidence))
+    assert "base_vx by base_x and base_y 41.3 nats" in said
+    assert "ee_vz by reach 17.0 nats" in said
+
+
 def test_nothing_missing_says_so_in_every_section(pages: dict[str, str]) -> None:
     said = text(pages["nothing"])
     for words in ("Nothing is missing", "No output, regime or time stands out",
