@@ -89,7 +89,7 @@ def test_an_effect_is_named_by_its_share_of_what_there_is_in_its_outputs(of: Pro
 
     def share(with_it: np.ndarray, without: np.ndarray) -> float:
         a, b = (Fit(start(of), (), e, unit, float(log_density(e, unit).sum())) for e in (with_it, without))
-        return named_share(SPOT.layout, a, b, left_over(of, a))
+        return named_share(SPOT.layout, a, b, left_over(of, a).nats)
 
     assert share(clean, off) == 1.0
     assert share(drift, drift + off - clean) == pytest.approx(0.5, abs=0.25)  # a speed and its position are one
