@@ -77,7 +77,8 @@ def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) ->
     rows = _rows(model)
     functions = dictionary(quantities(model.problem.augmented.layout), rows.z[np.asarray(model.problem.chunks.counts)])
     found, chosen, held = no_law(model, unseen), [], None
-    while len(chosen) < MOST_TERMS:
+    pushable = rows.echoes and functions  # a simulator may declare no body
+    while pushable and len(chosen) < MOST_TERMS:
         part, p_value, owed = _best(rows, model.fit, functions, chosen, rng)
         say(f"a law without a name: p = {p_value:.4f}")
         if p_value > LEVEL:

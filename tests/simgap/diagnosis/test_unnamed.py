@@ -1,5 +1,7 @@
 """Laws without a name: their directions against runs, those that are there against chance, and what is said of them."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from simgap.diagnosis.dictionary import Quantity, dictionary, quantities, values
 from simgap.diagnosis.echo import direction, echoes, evidence, hear
 from simgap.diagnosis.fit import Problem, evaluate, optimise, replaced, start, trials, whitening
 from simgap.diagnosis.innovations import Variables, cut
+from simgap.diagnosis.measure import measure
 from simgap.diagnosis.search import Model
 from simgap.diagnosis.unnamed import Law, unnamed
 from simgap.effects.augmented import Augmented
@@ -105,6 +108,32 @@ def test_of_what_does_not_vary_there_is_no_function() -> None:
 def test_of_noise_there_is_no_law(seed: int) -> None:
     training, heldout = sessions({}, seed)
     assert law_in([*training, *heldout]).terms == ()
+
+
+@pytest.mark.parametrize("bodies", [True, False], ids=["a drive", "no body"])
+def test_a_simulator_needs_no_ground_and_no_body(bodies: bool) -> None:
+    schema = DRIVE.schema
+    if not bodies:
+        loose = lambda fields: tuple(replace(f, body="", axis="") for f in fields)  # noqa: E731
+        schema = replace(schema, state=loose(schema.state), command=loose(schema.command))
+    recorded = [drive(seed) for seed in range(4)]
+    augmented = Augmented(replace(DRIVE, schema=schema))
+    of = Problem(augmented, measure(augmented, recorded), cut(recorded[:3], 0.02), np.eye(2))
+    model = Model(of, *optimise(of, evaluate(of, start(of), ())))
+    assert (
+        unnamed(model, cut(recorded[3:], 0.02, least=len(of.chunks.row)), np.random.default_rng(0), print).terms == ()
+    )
+
+
+def drive(seed: int) -> Recording:
+    """A session of a drive pushed back and forth, measured with noise."""
+    rng = np.random.default_rng(seed)
+    force = 5 * np.sin(np.arange(200) * 0.1 + seed)
+    states = [np.zeros(2)]
+    for u in force[:-1]:
+        states.append(np.asarray(DRIVE.step(jnp.array([2.0, 4.0]), jnp.asarray(states[-1]), jnp.array([u]))))
+    noisy = np.array(states) + rng.normal(size=(200, 2)) * [0.001, 0.01]
+    return Recording(f"s{seed}", np.arange(200) * 0.02, noisy, force[:, None])
 
 
 def test_a_product_of_two_speeds_is_found_with_its_axis_and_what_it_depends_on() -> None:
