@@ -71,9 +71,8 @@ def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
     # Commands are known for a while before a chunk, motion is not.
     sent = np.concatenate([np.asarray(chunks.past)[:, ::-1], command], axis=1)
     moved = now[..., _moving(layout)]
-    slow = [
-        m for tau in MEMORIES for m in (_mean(sent, tau, problem)[:, -command.shape[1] :], _mean(moved, tau, problem))
-    ]
+    fading = np.exp(-problem.scales.time_step / np.array(MEMORIES))
+    slow = [m for kept in fading for m in (_mean(sent, kept)[:, -command.shape[1] :], _mean(moved, kept))]
     return np.concatenate([now, places, *slow], axis=-1)
 
 
@@ -88,9 +87,8 @@ def _places(layout: Layout) -> list[tuple[int, int]]:
     return [(int(i), axis) for columns in table for axis, i in zip((X, Y), columns, strict=True) if i >= 0]
 
 
-def _mean(series: Float[np.ndarray, "C n q"], tau: float, problem: Problem) -> Float[np.ndarray, "C n q"]:
-    """Mean over the past, of weights that fade with tau [s]."""
-    kept = np.exp(-problem.scales.time_step / tau)
+def _mean(series: Float[np.ndarray, "C n q"], kept: float) -> Float[np.ndarray, "C n q"]:
+    """Mean over the past, of weights of which this share is kept from row to row."""
     found = np.array(series)
     for t in range(1, series.shape[1]):
         found[:, t] = kept * found[:, t - 1] + (1 - kept) * series[:, t]

@@ -31,7 +31,8 @@ def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
     # What acts for a while only hardly changes how a push echoes, and the gate is the pushes' here.
     v = v._replace(gated=np.zeros_like(v.gated))
     drifts = [c for c in candidates(problem.augmented, problem.scales) if c.effect.id == "body_frame_bias"]
-    own = {c.where: _echo(problem, v, c.groups[0], c.starts[0][0]) for c in drifts if len(c.sites) == 1}
+    still = raw_innovations(problem, v)
+    own = {c.where: _echo(problem, v, still, c.groups[0], c.starts[0][0]) for c in drifts if len(c.sites) == 1}
     layout, world = problem.augmented.layout, {}
     state = np.asarray(estimates_of(problem.augmented, problem.scales, v, problem.chunks))
     for b, body in enumerate(layout.bodies):
@@ -44,9 +45,9 @@ def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
     return own | world
 
 
-def _echo(problem: Problem, v: Variables, drift: Group, size: float) -> Echo:
-    """By pushes of this size in every so many rows, once from each row on."""
-    still, chunks = raw_innovations(problem, v), problem.chunks
+def _echo(problem: Problem, v: Variables, still: Float[np.ndarray, "C T-1 s"], drift: Group, size: float) -> Echo:
+    """By pushes of this size in every so many rows, once from each row on; `still` are innovations without them."""
+    chunks = problem.chunks
     pushed = v._replace(gated=replaced(v.gated, drift.entries, size))
 
     def change(first: int) -> Float[np.ndarray, "C T-1 s"]:
