@@ -240,7 +240,7 @@ def _what(diagnosis: Values, evidence: Values) -> str:
     if not effects:
         parts.append(f"<p>{escape(_NO_EFFECTS.get(str(diagnosis['verdict']), 'No effect was found.'))}</p>")
     parts += [_nearest(diagnosis.get("resembles") or []), _left_over(diagnosis.get("left_over") or {})]
-    return "".join([*parts, _law(diagnosis.get("law") or [])])
+    return "".join([*parts, _law(diagnosis.get("law") or [], bool(effects))])
 
 
 def _nearest(resembling: Sequence[Values]) -> str:
@@ -269,8 +269,8 @@ def _left_over(left: Values) -> str:
     )
 
 
-def _law(terms: Sequence[Values]) -> str:
-    """What pushes the robot beside all that is named, by what it depends on."""
+def _law(terms: Sequence[Values], named: bool) -> str:
+    """What pushes the robot, beside what is named if anything is, by what it depends on."""
     if not terms:
         return ""
     items = "".join(
@@ -278,7 +278,8 @@ def _law(terms: Sequence[Values]) -> str:
         f"<small>{_fixed(t['gain_nats'], 1)} nats</small></li>"
         for t in terms
     )
-    said = "Beside all that is named, something pushes the robot that depends on its motion, place or commands:"
+    something = "Beside all that is named, something" if named else "Something"
+    said = f"{something} pushes the robot that depends on its motion, place or commands:"
     return f"<p>{said}</p><ul>{items}</ul>"
 
 

@@ -310,6 +310,9 @@ def test_a_law_without_a_name_is_told_term_by_term_beside_what_is_named() -> Non
     assert "something pushes" not in text(page(diagnosis, evidence))
     said = text(page(diagnosis | {"law": terms}, evidence))
     assert "base_vx by base_x and base_y 41.3 nats" in said
+    assert "Beside all that is named, something pushes" in said
+    unnamed = text(page(diagnosis | {"law": terms, "effects": []}, evidence))
+    assert "Something pushes the robot" in unnamed
     assert "ee_vz by reach 17.0 nats" in said
 
 
