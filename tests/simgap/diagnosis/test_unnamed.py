@@ -137,11 +137,14 @@ def drive(seed: int) -> Recording:
 
 
 def test_a_product_of_two_speeds_is_found_with_its_axis_and_what_it_depends_on() -> None:
-    law = law_in(unheard(by_speed_and_turn, RICH))
-    first = law.terms[0]
-    assert first.axis == "ee_vz"
-    assert set(first.depends_on) <= {"base forward speed", "base yaw rate", "cmd_base_vx", "cmd_base_wz"}
-    assert len(first.depends_on) == 2
+    """Which term comes first is not said: the hand's own speed, which the product has made, is as good to the second
+    decimal, and processors differ about it."""
+    terms = law_in(unheard(by_speed_and_turn, RICH)).terms
+    assert {t.axis for t in terms} == {"ee_vz"}
+    forward, turn = {"base forward speed", "cmd_base_vx"}, {"base yaw rate", "cmd_base_wz"}
+    products = [set(t.depends_on) for t in terms if len(t.depends_on) == 2]
+    assert products
+    assert all(p & forward and p & turn for p in products)
 
 
 def test_a_drift_along_the_worlds_axis_is_found_there() -> None:
