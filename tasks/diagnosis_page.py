@@ -20,12 +20,14 @@ _VERDICTS = {
     "parameters_only": ("Only parameters were wrong", "#8a6100"),
     "nothing": ("Nothing is missing", "#2b7a4b"),
     "unexplained": ("Unexplained mismatch", "#6b3fa0"),
+    "inconclusive": ("Too little data to say", "#5b6472"),
 }
 _NO_EFFECTS = {
     "missing_physics": "No effect is described.",
     "parameters_only": "No physics is missing: other parameters of the simulator explain the difference (section 5).",
     "nothing": "No physics is missing: what the simulator and the recordings differ by is noise.",
-    "unexplained": "Something is missing that no effect of the vocabulary explains; section 1 says where it lives.",
+    "unexplained": "Something is missing that no effect of the vocabulary explains; section 1 says where it shows.",
+    "inconclusive": "The recordings cannot show whether an effect is missing.",
 }
 _FLOOR, _FLOOR_OF_NOISE = 0.02, 0.5  # least top of the colour scales [nats a row]; noise is not to glow
 _CANDIDATES, _INTERVALS, _SESSIONS = 8, 8, 6  # shown at most
@@ -63,9 +65,14 @@ def _headline(title: str, diagnosis: Values) -> str:
     words, colour = _VERDICTS.get(verdict, (verdict, plots.GREY))
     return (
         f'<header><div class="kicker"><h1>{title}</h1><span class="badge" style="background:{colour}">{escape(words)}'
-        f'</span></div><p class="statement">{escape(str(diagnosis.get("statement", "")))}</p>'
+        f"</span></div>{_warnings(diagnosis.get('warnings') or [])}"
+        f'<p class="statement">{escape(str(diagnosis.get("statement", "")))}</p>'
         f"{_tiles(diagnosis)}{_recordings(diagnosis.get('recordings') or {})}</header>"
     )
+
+
+def _warnings(lines: Sequence[str]) -> str:
+    return f'<ul class="warnings">{"".join(f"<li>{escape(line)}</li>" for line in lines)}</ul>' if lines else ""
 
 
 def _tiles(diagnosis: Values) -> str:
@@ -239,8 +246,15 @@ def _what(diagnosis: Values, evidence: Values) -> str:
     parts = [_card(effect, [law for law in laws if _shows(law, effect)]) for effect in effects]
     if not effects:
         parts.append(f"<p>{escape(_NO_EFFECTS.get(str(diagnosis['verdict']), 'No effect was found.'))}</p>")
+    parts += [_insufficient(diagnosis.get("insufficient") or []) if diagnosis["verdict"] == "inconclusive" else ""]
     parts += [_nearest(diagnosis.get("resembles") or []), _left_over(diagnosis.get("left_over") or {})]
     return "".join([*parts, _law(diagnosis.get("law") or [], bool(effects))])
+
+
+def _insufficient(reasons: Sequence[Values]) -> str:
+    """Why nothing can be concluded, and what to record."""
+    items = "".join(f"<li>{escape(r['reason'])}. <b>Record {escape(r['record'])}.</b></li>" for r in reasons)
+    return f"<ul>{items}</ul>" if items else ""
 
 
 def _nearest(resembling: Sequence[Values]) -> str:
@@ -252,8 +266,7 @@ def _nearest(resembling: Sequence[Values]) -> str:
         for e in resembling
     )
     return (
-        "<p>The nearest words for part of it. Each explains less than half of what there is to explain where it acts, "
-        f"and is not named as missing:</p><ul>{items}</ul>"
+        f"<p>Closest matches, which explain only part of the mismatch and are not named as missing:</p><ul>{items}</ul>"
     )
 
 
@@ -520,8 +533,7 @@ def _shift(before: float | None, after: float, ends: tuple[float, float] | None)
 
 
 def _tried(diagnosis: Values) -> str:
-    rounds, blind = diagnosis.get("rounds") or [], diagnosis.get("blind") or []
-    notes = diagnosis.get("notes") or []
+    rounds, notes = diagnosis.get("rounds") or [], diagnosis.get("notes") or []
     parts = [_round(k, r) for k, r in enumerate(rounds, 1)] or ["<p>No effect was tried.</p>"]
     if rounds:
         parts.insert(
@@ -529,17 +541,35 @@ def _tried(diagnosis: Values) -> str:
             "<p>In each round every effect is tried in every place, all parameters refitted; the best is accepted if "
             "its gain passes the threshold (line), which is calibrated on data in which nothing is missing.</p>",
         )
-    if blind:
-        reasons: dict[str, list[str]] = {}
-        for b in blind:
-            reasons.setdefault(str(b["reason"]), []).append(_title(b["effect"]))
-        items = "".join(f"<li><b>{escape(', '.join(e))}</b>: {escape(r)}</li>" for r, e in reasons.items())
-        parts.append(f"<h3>Could not have been seen in these recordings</h3><ul>{items}</ul>")
-    else:
-        parts.append("<p>No blind spots: each effect of the vocabulary would have been seen.</p>")
+    parts.append(_sensitivity(diagnosis.get("sensitivity") or {}))
     if notes:
         parts.append(f"<h3>Notes</h3><ul>{''.join(f'<li>{escape(str(n))}</li>' for n in notes)}</ul>")
     return "".join(parts)
+
+
+def _sensitivity(seen: Values) -> str:
+    """For every effect the smallest size that would have been found, site by site."""
+    sites: dict[str, list[Values]] = {}
+    for visible in seen.get("effects") or []:
+        sites.setdefault(visible["effect"], []).append(visible)
+    if not sites:
+        return ""
+    rows = []
+    for effect, visible in sites.items():
+        sizes = [f"{_code(v['where'])} {_size(v)}" for v in visible if _known(v["size"])]
+        hidden = [_code(v["where"]) for v in visible if not _known(v["size"])]
+        rows.append(f"<tr><th>{escape(_title(effect))}</th><td>{', '.join(sizes) or _DASH}</td>"
+                    f"<td>{' '.join(hidden) or _DASH}</td></tr>")  # fmt: skip
+    return (
+        "<h3>What would have been found</h3>"
+        f"<details><summary>Smallest sizes that would have been found, each with a chance of "
+        f"{_percent(seen.get('chance'))}</summary><table class='sizes'><tr><th>effect</th><th>smallest size</th>"
+        f"<th>not visible at</th></tr>{''.join(rows)}</table></details>"
+    )
+
+
+def _size(visible: Values) -> str:
+    return f"{visible['constant']} {_number(visible['size'])} {_unit(visible['unit'])}".rstrip()
 
 
 def _round(k: int, tried: Values) -> str:
@@ -729,6 +759,11 @@ ul {{ margin: 0 0 14px; padding-left: 20px; }}
 .kicker {{ display: flex; justify-content: space-between; align-items: center; gap: 16px; }}
 .badge {{ flex: none; color: #fff; font-weight: 600; border-radius: 999px; padding: 5px 16px; }}
 .statement {{ font-size: 23px; line-height: 1.38; font-weight: 500; margin: 16px 0 20px; max-width: none; }}
+.warnings {{ margin: 14px 0 0; padding: 10px 16px 10px 32px; background: #fdf3e4; border-left: 4px solid #c97a00;
+  border-radius: 6px; font-size: 15px; }}
+.sizes td, .sizes th {{ vertical-align: top; border-top: 1px solid #eceef1; }}
+.sizes th:first-child {{ width: 20%; }} .sizes td:last-child {{ width: 24%; }}
+summary {{ cursor: pointer; margin-bottom: 8px; }}
 .facts {{ color: {plots.GREY}; font-size: 13px; margin: 0; max-width: none; }}
 .tiles {{ list-style: none; padding: 0; margin: 0 0 18px; display: flex; gap: 14px; }}
 .tiles li {{ flex: 1 1 0; max-width: 480px; background: #f6f7f9; border-radius: 10px;

@@ -79,6 +79,18 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
     return found
 
 
+def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> bool:
+    """Whether the recordings say anything of an effect's constants: no interval is empty, and none is a whole range."""
+    low, high = problem.augmented.bounds
+    for group in candidate.groups:
+        c = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
+        width = Z95 * float(sd.constants[fit.groups.index(group)])
+        whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
+        if whole or not width > 0:
+            return False
+    return True
+
+
 def _physical(problem: Problem, site: int, constant: Constant, group: Group, internal: float) -> float:
     """The physical value of an internal one, which is kept within its bounds."""
     low, high = (float(bound[group.entries[0]]) for bound in problem.augmented.bounds)

@@ -7,12 +7,15 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis import black_box, experiment, judge, tell
+from simgap.diagnosis.adequacy import conclude
+from simgap.diagnosis.candidates import candidates
 from simgap.diagnosis.explain import Explanation, explain
 from simgap.diagnosis.explain import split as split
 from simgap.diagnosis.heldout import seen_at
 from simgap.diagnosis.innovations import gain_matrix
 from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.search import Say
+from simgap.diagnosis.sensitivity import sensitivity
 from simgap.diagnosis.when import gate
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Regime
@@ -69,11 +72,14 @@ def diagnose(
     say("judging on held-out sessions")
     contestants = _contestants(found, rng)
     judged = _judged(found, contestants, training, heldout)
+    problem = found.problem
+    seen = sensitivity(problem, found.rounds[0].screening, candidates(problem.augmented, problem.scales))
+    outcome = tell.Outcome(contestants, judged, seen, conclude(found, judged, seen, rng))
     say("looking for the experiment that would tell explanations apart")
     plan = _experiment(found, training)
     sessions = tell.Sessions(training, heldout, baseline)
-    statement = tell.statement(name, found, sessions, contestants, judged, plan, rng)
-    evidence = tell.evidence(found, sessions, contestants, statement["verdict"], plan)
+    statement = tell.statement(name, found, sessions, outcome, plan, rng)
+    evidence = tell.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
     return Diagnosis(statement, evidence, _model(found), commands)
 
@@ -99,12 +105,19 @@ def _judged(
     step = found.problem.augmented.simulator.time_step
     fitted, unseen = judge.pieces_of(training, step), judge.pieces_of(heldout, step)
     if fitted is None or unseen is None:
-        return Judgement({}, {})
+        return Judgement({}, {}, ())
     # In which regime a forecast is, it says itself.
     layout, when = found.problem.augmented.layout, found.when and found.when._replace(regime=None)
     fitted, unseen = fitted._replace(gate=gate(layout, fitted, when)), seen_at(layout, unseen, when)
     judged = {name: judge.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
-    return Judgement({name: held for name, (held, _) in judged.items()}, {name: on for name, (_, on) in judged.items()})
+    lacking = (Contestant(m.without.v, regime=found.regime) for m in found.members)
+    return Judgement(
+        {name: held for name, (held, _) in judged.items()},
+        {name: on for name, (_, on) in judged.items()},
+        # Without its only effect the model is the refitted one.
+        (judged["refitted"],) if len(found.members) == 1 else
+        tuple(judge.judge(found.problem, c, fitted, unseen) for c in lacking),
+    )  # fmt: skip
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan | None:

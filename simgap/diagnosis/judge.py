@@ -21,11 +21,15 @@ from simgap.layout import Layout, X, Y, Z
 from simgap.types import Recording
 
 HORIZONS = (1, 10, 50)
+LEAST_ROWS = RUN_IN + max(HORIZONS) + 1
+"""Rows of the shortest session that can be judged at all horizons."""
 STRIDE = 5
 DRAWS = 1000
 LEAST_SESSIONS = 5
 MARGIN = 0.005
 """Share of its error by which a model must be worse to be called so: any two differ by chance in the fourth digit."""
+RUN = 10
+"""Pieces of one run, where sessions are too few to be the units; at least, see `_run`."""
 
 
 class Contestant(NamedTuple):
@@ -50,10 +54,14 @@ class Judged(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """Every contestant on held-out sessions, and on those it was fitted to; empty where these are too short."""
+    """Every contestant on held-out sessions, and on those it was fitted to; empty where these are too short.
+
+    lacking: of each effect found, the model that lacks it, on both.
+    """
 
     heldout: dict[str, Judged]
     fitted: dict[str, Judged]
+    lacking: tuple[tuple[Judged, Judged], ...]
 
 
 def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chunks) -> tuple[Judged, Judged]:
@@ -110,10 +118,12 @@ def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str
     return table
 
 
-def _share_missed(judged: Judged, k: int, i: np.ndarray) -> float:
+def _share_missed(judged: Judged, k: int, i: np.ndarray, outputs: Sequence[int] | None = None) -> float:
     """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than standing still."""
-    error = (judged.error[i, k] ** 2).mean(0)
-    moved = np.maximum((judged.moved[:, k] ** 2).mean(0), 1e-12)
+    chosen = slice(None) if outputs is None else list(outputs)
+    with np.errstate(over="ignore"):  # a forecast that exploded
+        error = (judged.error[i, k][:, chosen] ** 2).mean(0)
+    moved = np.maximum((judged.moved[:, k][:, chosen] ** 2).mean(0), 1e-12)
     return float(np.sqrt((error / moved).mean()))
 
 
@@ -130,10 +140,14 @@ def resample(session: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
     return [np.arange(len(session)), *drawn]
 
 
-def _unit(session: np.ndarray) -> np.ndarray:
-    """What varies by itself: a number for each piece's session, or for its run of ten pieces where sessions are few."""
-    whole = len(np.unique(session)) >= LEAST_SESSIONS
-    return session if whole else session * 10**6 + np.arange(len(session)) // 10
+def _unit(session: np.ndarray, horizon: int = 1) -> np.ndarray:
+    """What varies by itself: a number for each piece's session, or for its run of pieces where sessions are few.
+
+    Runs are long enough that those next to each other share less than half of the rows that they forecast.
+    """
+    if len(np.unique(session)) >= LEAST_SESSIONS:
+        return session
+    return session * 10**6 + np.arange(len(session)) // max(RUN, -(-2 * horizon // STRIDE))
 
 
 def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
@@ -142,40 +156,72 @@ def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
     return {"value": values[0], "ci95": [float(low), float(high)]}
 
 
-def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]:
-    """Mean of a's nll less b's [nats a row], paired, with its interval: above zero where b is better."""
-    return _interval(lambda i: float(np.nanmean(a.nll[i] - b.nll[i])), resample(a.session, rng))
+def horizons(judged: Judged) -> tuple[int, ...]:
+    """The horizons [rows] that the pieces are long enough for."""
+    return HORIZONS[: judged.error.shape[1]]
 
 
-def worse(a: Judged, b: Judged, rng: np.random.Generator) -> bool:
-    """Whether b, by `MARGIN` and beyond chance, misses more of the motion than a at any longer horizon: a wrong idea.
+def changes(a: Judged, b: Judged, rng: np.random.Generator, outputs: Sequence[int] | None = None) -> list[dict]:
+    """By which share of a's error b's differs at each horizon, with its interval, paired: below zero where b is better.
 
-    Constants that make a memory for whatever disturbs the robot foretell the next row, and no further.
+    Over all outputs, or some of them (indices).
     """
     draws = resample(a.session, rng)
 
     def more(k: int, i: np.ndarray) -> float:
-        return _share_missed(b, k, i) / max(_share_missed(a, k, i), 1e-12) - 1
+        return _share_missed(b, k, i, outputs) / max(_share_missed(a, k, i, outputs), 1e-12) - 1
 
-    return any(_interval(partial(more, k), draws)["ci95"][0] > MARGIN for k in range(1, a.error.shape[1]))
+    return [_interval(partial(more, k), draws) for k in range(a.error.shape[1])]
 
 
-def _surely_better(a: Judged, b: Judged) -> bool:
-    """Whether b has the lesser nll by more than noise gives with the chance at which it may pass for an effect.
+def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
+    """The horizons [rows] at which b, by `MARGIN` and beyond chance, misses more of the motion than a."""
+    return [h for h, c in zip(horizons(a), changes(a, b, rng), strict=True) if c["ci95"][0] > MARGIN]
 
-    By Student's t over sessions or runs of pieces, of which there may be too few for a bootstrap to tell.
+
+def better_of(a: Judged, b: Judged, k: int) -> Judged:
+    """The one that misses less of the motion at horizon k; a where they are level."""
+    every = np.arange(len(a.session))
+    return b if _share_missed(b, k, every) < _share_missed(a, k, every) else a
+
+
+def beats(references: Sequence[Judged], box: Judged) -> list[int]:
+    """The horizons [rows] at which a black box surely misses less of the motion than each of the references does.
+
+    By Student's t over sessions or runs of pieces; the chance of any horizon by noise alone is `LEVEL`.
     """
-    unit = np.unique(_unit(a.session), return_inverse=True)[1]
-    gains = np.bincount(unit, a.nll - b.nll) / np.bincount(unit)
-    if len(gains) < 2 or not np.isfinite(gains).all():
+    level = LEVEL / len(horizons(box))
+    return [h for k, h in enumerate(horizons(box)) if all(_misses_less(r, box, k, level) for r in references)]
+
+
+def _misses_less(a: Judged, b: Judged, k: int, level: float) -> bool:
+    every = np.arange(len(a.session))
+    if not _share_missed(b, k, every) < (1 - MARGIN) * _share_missed(a, k, every):
         return False
-    error = gains.std(ddof=1) / np.sqrt(len(gains))
-    return bool(gains.mean() > stdtrit(len(gains) - 1, 1 - LEVEL) * error)
+    moved = np.maximum((a.moved[:, k] ** 2).mean(0), 1e-12)
+    with np.errstate(over="ignore"):  # a forecast that exploded
+        gains = ((a.error[:, k] ** 2 - b.error[:, k] ** 2) / moved).mean(1)
+    return _surely_positive(gains, _unit(a.session, HORIZONS[k]), level)
+
+
+def surely_likelier(a: Judged, b: Judged) -> bool:
+    """Whether b has the lesser nll by more than noise gives with the chance at which it may pass for an effect."""
+    return _surely_positive(a.nll - b.nll, _unit(a.session), LEVEL)
+
+
+def _surely_positive(gains: Float[np.ndarray, " n"], unit: np.ndarray, level: float) -> bool:
+    """Whether pieces gain on average, by Student's t over units, of which there may be too few for a bootstrap."""
+    unit = np.unique(unit, return_inverse=True)[1]
+    means = np.bincount(unit, gains) / np.bincount(unit)
+    if len(means) < 2 or not np.isfinite(means).all():
+        return False
+    error = means.std(ddof=1) / np.sqrt(len(means))
+    return bool(means.mean() > stdtrit(len(means) - 1, 1 - level) * error)
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
     """Share of the black box's one-step gain that named physics makes; None where the box gains nothing sure."""
-    if not _surely_better(refitted, box):
+    if not surely_likelier(refitted, box):
         return None
 
     def ratio(i: np.ndarray) -> float:

@@ -7,7 +7,7 @@ foretold is physics without a name, however it comes about, and the measure of w
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.fit import Fit, Problem, log_density
 from simgap.diagnosis.when import rows_of
@@ -81,16 +81,21 @@ def _foretold(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Fl
     return foretold
 
 
+def touched(layout: Layout, fit: Fit, without: Fit) -> Bool[np.ndarray, " s"]:
+    """The outputs that an effect improves; `without` is the fit that lacks it. A position and its velocity are one."""
+    more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
+    improved = more > TOUCHED * max(float(more.sum()), 0.0)
+    moved = layout.integrates >= 0
+    either = improved[moved] | improved[layout.integrates[moved]]
+    improved[moved], improved[layout.integrates[moved]] = either, either
+    return improved
+
+
 def named_share(layout: Layout, fit: Fit, without: Fit, nameless: Float[np.ndarray, " s"]) -> float:
     """Of what there is to explain in the outputs that an effect improves, the share that the effect explains.
 
-    `without` is the fit that lacks the effect; with it there is nameless gain [nats] in every output. A position and
-    its velocity are one.
+    `without` is the fit that lacks the effect; with it there is nameless gain [nats] in every output.
     """
     more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
     gained = max(float(more.sum()), 0.0)
-    touched = more > TOUCHED * gained
-    moved = layout.integrates >= 0
-    either = touched[moved] | touched[layout.integrates[moved]]
-    touched[moved], touched[layout.integrates[moved]] = either, either
-    return gained / max(gained + float(nameless[touched].sum()), 1e-9)
+    return gained / max(gained + float(nameless[touched(layout, fit, without)].sum()), 1e-9)

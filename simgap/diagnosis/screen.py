@@ -43,8 +43,8 @@ NOTHING = 1e-4
 class Screened(NamedTuple):
     """A hypothesis at a start: gain expected [nats], and its test statistic (chi-squared with one degree of freedom).
 
-    constant: the one tested. power: nats that an effect at the starting value would gain, so what the recordings could
-    have shown.
+    constant: the one tested; tested: the value it was tested at. power: nats that an effect at that value would gain,
+    so what the recordings could have shown.
     """
 
     candidate: Candidate
@@ -53,6 +53,7 @@ class Screened(NamedTuple):
     gain: float
     statistic: float
     power: float
+    tested: float
 
     @property
     def as_it_stands(self) -> float:
@@ -207,7 +208,7 @@ def closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[
     best, k = tested[0], tested[0].constant
     values = sorted({s.start[k] for s in tested})
     # One value is left as well where the model explodes at all others.
-    if _scales(best.candidate, k) or len(values) == 1:
+    if in_proportion(best.candidate, k) or len(values) == 1:
         return [_Direction(best.candidate, best.start, k)]
     i = values.index(best.start[k])
     ratios = [later / value for value, later in pairwise(values)]
@@ -227,7 +228,7 @@ def _part(candidate: Candidate, of: Candidate) -> bool:
     return alike and bool(candidate.twin) == bool(of.twin) and set(candidate.sites) < set(of.sites)
 
 
-def _scales(candidate: Candidate, k: int) -> bool:
+def in_proportion(candidate: Candidate, k: int) -> bool:
     """Whether a law is in proportion to its constant, or nearly: one start of it is enough then."""
     return len({start[k] for start in candidate.starts}) == 1
 
@@ -301,11 +302,11 @@ def _screened(direction: _Direction, evidence: Evidence, weighed: Weighed, i: in
     candidate, values, k = direction
     share = 1.0
     # A law in proportion to its constant can start where the data would have it.
-    if _scales(candidate, k) and weighed.gain[i] > 0:
+    if in_proportion(candidate, k) and weighed.gain[i] > 0:
         share = float(np.clip(weighed.amplitude[i], -3, 3))
     start = tuple(v * share if j == k else v for j, v in enumerate(values))
     power = 0.5 * float(evidence.power[i].sum())
-    return Screened(candidate, start, k, float(weighed.gain[i]), float(weighed.statistic[i]), power)
+    return Screened(candidate, start, k, float(weighed.gain[i]), float(weighed.statistic[i]), power, values[k])
 
 
 def blocks(counts: np.ndarray) -> np.ndarray:

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis import black_box, confidence, judge, locate, pictures, scatter_pictures, words
+from simgap.diagnosis.adequacy import Verdict
 from simgap.diagnosis.experiment import Experiment
-from simgap.diagnosis.explain import EXPLAINED, Explanation
+from simgap.diagnosis.explain import Explanation
 from simgap.diagnosis.fit import evaluate, raw_innovations
 from simgap.diagnosis.heldout import gain
 from simgap.diagnosis.innovations import Chunks
@@ -16,14 +17,12 @@ from simgap.diagnosis.judge import Contestant, Judgement
 from simgap.diagnosis.left_over import LeftOver, left_over
 from simgap.diagnosis.rivals import Member
 from simgap.diagnosis.scatter_claim import Scatter
+from simgap.diagnosis.sensitivity import POWER, Sensitivity
 from simgap.diagnosis.since import leaves
-from simgap.effects import CATALOGUE
 from simgap.effects.regime import EVERYWHERE, features
 from simgap.effects.regime import words as rule
 from simgap.types import Recording
 
-SEEN = 8.0
-"""Nats that an effect of usual strength must be able to gain for the recordings to show it."""
 CREDIBLE = 0.95
 SCATTERED = {"form": "scatter", "where": "all"}
 """Of every effect on the scatter."""
@@ -51,92 +50,78 @@ class Plan(NamedTuple):
     separates: tuple[str, str]
 
 
+class Outcome(NamedTuple):
+    """What held-out sessions say of the contestants, what the recordings could have shown, and what is concluded."""
+
+    contestants: dict[str, Contestant]
+    judged: Judgement
+    seen: Sensitivity
+    concluded: Verdict
+
+
 def statement(
-    name: str,
-    found: Explanation,
-    sessions: Sessions,
-    contestants: dict[str, Contestant],
-    judged: Judgement,
-    plan: Plan | None,
-    rng: np.random.Generator,
+    name: str, found: Explanation, sessions: Sessions, outcome: Outcome, plan: Plan | None, rng: np.random.Generator
 ) -> dict[str, Any]:
     """All six answers in plain values, in the layout of diagnosis.json."""
-    layout = found.problem.augmented.layout
-    share, verdict = _verdict(found, judged, rng)
+    problem, concluded = found.problem, outcome.concluded
+    verdict, share = concluded.verdict, concluded.share
     # Where no name stands, what is left over is what the simulator leaves by itself.
-    left = leaves(found.problem, found.base, found.baseline) if verdict == "unexplained" else found.left
-    members = [(found.names(m), _effect(found, m, sessions.fitted)) for m in found.members]
-    effects = [e for sure, e in members if sure] + [_scattered(s) for s in found.scattered]
-    doubtful = [e for sure, e in members if not sure]
-    if verdict == "unexplained":
-        effects, doubtful = [], [*effects, *doubtful]
+    left = leaves(problem, found.base, found.baseline) if verdict == "unexplained" else found.left
+    members = [(sure, m, _effect(found, m, sessions.fitted))
+               for sure, m in zip(concluded.named, found.members, strict=True)]  # fmt: skip
+    effects = [e for sure, _, e in members if sure]
+    doubtful = [e for sure, m, e in members if not sure and _matches(found, m, e)]
+    (effects if verdict == "missing_physics" else doubtful).extend(_scattered(s) for s in found.scattered)
     told = {
         "schema": 1, "simulator": name, "verdict": verdict,
         "recordings": {
             "training_sessions": [r.name for r in sessions.training],
             "heldout_sessions": [r.name for r in sessions.heldout],
             "baseline": [r.name for r in sessions.baseline] or None,
-            "transitions": int(np.asarray(found.problem.chunks.counts).sum()),
+            "transitions": int(np.asarray(problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
-        "located": _located(found, sessions, contestants, verdict, left),
-        "effects": effects, "resembles": doubtful, "left_over": _left(found, left), "law": _law(found),
+        "located": _located(found, sessions, outcome, left),
+        "effects": effects, "something_else": concluded.something_else,
+        "resembles": doubtful, "left_over": _left(found, left), "law": _law(found),
         "alternatives": _alternatives(found.members),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
-        "parameters": _parameters(found),
+        "parameters": _parameters(found) | {"moved": concluded.parameters_moved},
         "fit": {
-            "heldout_sessions": [r.name for r in sessions.heldout],
-            "models": {model: judge.scores(layout, j, rng) for model, j in judged.heldout.items()},
+            "heldout_sessions": [r.name for r in sessions.heldout], "least_rows": judge.LEAST_ROWS,
+            "models": {model: judge.scores(problem.augmented.layout, j, rng)
+                       for model, j in outcome.judged.heldout.items()},
             "explained_share": share and share["value"], "explained_share_ci95": share and share["ci95"],
+            "black_box_better_at": list(concluded.beaten_at),
+            "worse": [{"model": b, "than": a, "at": at} for (a, b), at in concluded.worse_at.items() if at],
         },
-        "blind": _blind(found), "rounds": _rounds(found), "notes": _notes(sessions),
+        "sensitivity": _sensitivity(outcome.seen), "rounds": _rounds(found), "notes": _notes(sessions),
     }  # fmt: skip
-    return {**told, "statement": words.statement(told)}
+    told |= {"insufficient": words.insufficient(told)}
+    return {**told, "warnings": words.warnings(told), "statement": words.statement(told)}
 
 
-def evidence(
-    found: Explanation, sessions: Sessions, contestants: dict[str, Contestant], verdict: str, plan: Plan | None
-) -> dict[str, Any]:
+def evidence(found: Explanation, sessions: Sessions, outcome: Outcome, plan: Plan | None) -> dict[str, Any]:
     """Arrays for the pictures."""
     problem = found.problem
-    trained, held = (_excess(found, contestants, verdict, c) for c in (problem.chunks, found.unseen))
+    trained, held = (_excess(found, outcome, c) for c in (problem.chunks, found.unseen))
     longest = max(sessions.heldout, key=lambda r: len(r.time_s))
     return {
         "heat": locate.heat(problem.augmented, trained),
         "strips": [*locate.strips(trained, sessions.fitted, False), *locate.strips(held, sessions.heldout, True)],
         "laws": [p for m in found.members for p in pictures.laws(problem, found.fit, m.candidate, trained)]
         + [SCATTERED | {"effect": s.id} | p for s in found.scattered for p in scatter_pictures.picture(s.shown)],
-        "rollouts": pictures.rollouts(problem, longest, contestants),
+        "rollouts": pictures.rollouts(problem, longest, outcome.contestants),
         "experiment": plan and pictures.commands(problem, plan.experiment),
     }
 
 
-def _verdict(found: Explanation, judged: Judgement, rng: np.random.Generator) -> tuple[dict[str, Any] | None, str]:
-    """Share of the black box's gain that named physics makes, and the verdict.
-
-    With a baseline there is no such share: most of what a black box finds was there before.
-    """
-    if not judged.heldout:
-        return None, "missing_physics" if found.members or found.scattered else "nothing"
-    heldout = judged.heldout
-    refitted = heldout["refitted"]
-    augmented = heldout.get("augmented", refitted)
-    share = None if found.baseline else judge.explained_share(refitted, augmented, heldout["black_box"], rng)
-    named = any(found.names(m) for m in found.members)
-    little = share is not None and share["ci95"][1] < EXPLAINED
-    astray = named and any(judge.worse(j["refitted"], j["augmented"], rng) for j in judged)
-    if named and not little and not astray:
-        return share, "missing_physics"
-    # What is periodic, or odd in single rows, can be foretold in part.
-    accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
-    nameless = found.left.nats.any() or found.law.terms
-    if found.members or share is not None or (nameless and not accounted):
-        return share, "unexplained"
-    if found.scattered:
-        return share, "missing_physics"
-    moved = judge.difference(heldout["as_is"], refitted, rng)["ci95"][0] > 0
-    return share, "parameters_only" if moved else "nothing"
+def _matches(found: Explanation, member: Member, effect: dict[str, Any]) -> bool:
+    """Whether an effect that is not named helps as a closest match: it holds on sessions that took no part, and the
+    recordings determine its constants."""
+    known = confidence.determined(found.problem, found.fit, member.candidate, found.sd)
+    return known and effect["heldout_gain_nats"] > 0
 
 
 def _left(found: Explanation, left: LeftOver) -> dict[str, Any]:
@@ -151,7 +136,7 @@ def _law(found: Explanation) -> list[dict[str, Any]]:
     return [{"axis": t.axis, "depends_on": list(t.depends_on), "gain_nats": t.gain} for t in found.law.terms]
 
 
-def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str, chunks: Chunks) -> locate.Excess:
+def _excess(found: Explanation, outcome: Outcome, chunks: Chunks) -> locate.Excess:
     """What the best explanation gains over the refitted simulator: named physics, or else what names nothing.
 
     Of the latter, the best one: the black box, or the effects together with a law without a name, or with what can be
@@ -159,9 +144,9 @@ def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str
     """
     problem = found.problem._replace(chunks=chunks)
     base, fitted = (raw_innovations(problem, f.v) for f in (found.base, found.fit))
-    if verdict == "missing_physics":
+    if outcome.concluded.verdict == "missing_physics":
         return locate.excess(problem.augmented, chunks, base, fitted)
-    box = contestants["black_box"].box
+    box = outcome.contestants["black_box"].box
     assert box is not None  # the black box is one
     predicted = black_box.predicted(problem, found.base.v, box)
     seen = evaluate(problem, found.fit.v, (), found.fit.noise)
@@ -177,17 +162,11 @@ def _excess(found: Explanation, contestants: dict[str, Contestant], verdict: str
     return max((locate.excess(problem.augmented, chunks, base, e) for e in nameless), key=lambda e: e.nats.sum())
 
 
-def _located(
-    found: Explanation,
-    sessions: Sessions,
-    contestants: dict[str, Contestant],
-    verdict: str,
-    left: LeftOver,
-) -> dict[str, Any]:
-    problem = found.problem
+def _located(found: Explanation, sessions: Sessions, outcome: Outcome, left: LeftOver) -> dict[str, Any]:
+    problem, verdict = found.problem, outcome.concluded.verdict
     if verdict not in MISMATCH:
         return {"outputs": [], "regimes": [], "intervals": [], "depends_on": []}
-    where = _excess(found, contestants, verdict, problem.chunks)
+    where = _excess(found, outcome, problem.chunks)
     return {
         "outputs": locate.outputs(problem.augmented, where),
         "regimes": _regimes(found, where),
@@ -286,14 +265,14 @@ def _parameters(found: Explanation) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _blind(found: Explanation) -> list[dict[str, str]]:
-    """Effects that these recordings could not have shown at a usual strength."""
-    power: dict[str, float] = {}
-    for s in found.rounds[0].screening.found:
-        power[s.candidate.effect.id] = max(power.get(s.candidate.effect.id, 0.0), s.power)
-    present = {e.id for e, sites in zip(CATALOGUE, found.problem.augmented.sites, strict=True) if sites}
-    weak = {e: p for e, p in power.items() if p < SEEN and e in present}
-    return [{"effect": e, "reason": words.blind(p)} for e, p in weak.items()]
+def _sensitivity(seen: Sensitivity) -> dict[str, Any]:
+    """What could have been found, and what not."""
+    return {
+        "needed_nats": seen.needed, "chance": POWER, "segments": seen.segments, "least_segments": seen.least_segments,
+        "least_rows": seen.least_rows, "hidden_effects": seen.hidden_effects, "hidden_channels": seen.hidden_channels,
+        "effects": [{"effect": v.effect, "where": v.where, "constant": v.constant, "size": v.size, "unit": v.unit}
+                    for v in seen.visible],
+    }  # fmt: skip
 
 
 def _rounds(found: Explanation) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ from typing import Any
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.experiment import Experiment
 from simgap.diagnosis.when import When
+from simgap.effects import CATALOGUE
 
 
 def number(value: float) -> str:
@@ -47,58 +48,169 @@ def experiment(designed: Experiment, ids: Sequence[str]) -> str:
     )
 
 
-def blind(power: float) -> str:
-    """Why an effect could not have been seen."""
-    return (
-        "the recordings hardly excite it: at a usual strength, beyond what the parameters absorb, it would change the "
-        f"likelihood by {power:.1f} nats"
-    )
-
-
 def law(term: dict[str, Any]) -> str:
     """A term of a law without a name."""
     return f"{term['axis']} is pushed, depending on {' and '.join(term['depends_on'])}"
 
 
+def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
+    """Why the recordings cannot show that nothing is missing, and what to record instead."""
+    seen, reasons = told["sensitivity"], []
+    if seen["segments"] < seen["least_segments"]:
+        reasons.append({
+            "reason": f"the fitted recordings are {seen['segments']} independent segments; chance can be judged from "
+                      f"{seen['least_segments']} on",
+            "record": f"at least {seen['least_rows']} rows in the sessions that are fitted",
+        })  # fmt: skip
+    if not told["fit"]["models"]:
+        reasons.append({
+            "reason": "the held-out sessions are too short to judge a forecast by",
+            "record": f"held-out sessions of at least {told['fit']['least_rows']} rows",
+        })  # fmt: skip
+    if seen["hidden_channels"]:
+        reasons.append({
+            "reason": f"no effect of a usual size on {listed(seen['hidden_channels'])} would have been found",
+            "record": f"steps and reversals of {listed(seen['hidden_channels'])} over the usual range",
+        })  # fmt: skip
+    if seen["hidden_effects"]:
+        where: dict[str, list[str]] = {}
+        for v in seen["effects"]:
+            where.setdefault(v["effect"], []).append(v["where"])
+        places = dict.fromkeys(place for e in seen["hidden_effects"] for place in where[e])
+        reasons.append({
+            "reason": f"{listed([title(e) for e in seen['hidden_effects']])} of a usual size would not have been found "
+                      "anywhere",
+            "record": f"longer sessions with more motion of {listed(list(places))}",
+        })  # fmt: skip
+    return reasons
+
+
+def warnings(told: dict[str, Any]) -> list[str]:
+    """What a reader must know before any number on the page."""
+    models, lines = told["fit"]["models"], []
+    of = {"as_is": "the simulator as it is", "refitted": "the refitted simulator",
+          "augmented": "the simulator with the effects"}  # fmt: skip
+    for worse in told["fit"]["worse"]:
+        for steps in worse["at"]:
+            before, after = (models[m][f"error_{steps}"]["value"] for m in (worse["than"], worse["model"]))
+            lines.append(
+                f"On held-out sessions {of[worse['model']]} is worse than {of[worse['than']]} after "
+                f"{_steps(steps)}: {after:.1%} against {before:.1%} of the motion."
+            )
+    return lines
+
+
 def statement(told: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
-    models = told["fit"]["models"]
-    lines = {
-        "nothing": "Nothing is missing: the simulator and the recordings differ by noise.",
-        "parameters_only": "No physics is missing; the simulator's parameters were off and are refitted.",
-        "unexplained": "Something is missing that the vocabulary does not explain.",
-        "missing_physics": "The simulator leaves out: " + " ".join(e["statement"] for e in told["effects"]),
-    }[told["verdict"]]
-    if told["verdict"] == "unexplained":
-        where = ", ".join(o["name"] for o in told["located"]["outputs"][:3])
-        depends = ", ".join(d["input"] for d in told["located"]["depends_on"][:3])
-        lines += f" It shows in {where}." if where else ""
-        lines += f" It depends most on {depends}." if depends else ""
+    lines = _VERDICTS[told["verdict"]](told)
     if told["resembles"]:
-        lines += " There is something that looks like this, and is more than this: "
-        lines += " ".join(e["statement"] for e in told["resembles"])
-    if told["left_over"]["outputs"] and told["verdict"] == "missing_physics":
-        lines += " More is missing: " + ", ".join(
-            f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]
-        ) + " can be foretold from the rows before."  # fmt: skip
-    if told["law"] and told["verdict"] == "missing_physics":
-        lines += " And more that is not named: " + "; ".join(law(term) for term in told["law"]) + "."
+        lines += " Closest match, which explains only part of the mismatch: " + _statements(told["resembles"])
+    return lines + _improvement(told["fit"]["models"])
+
+
+def _nothing(told: dict[str, Any]) -> str:
+    return "Nothing is missing: the simulator and the recordings differ by noise." + _would_show(told)
+
+
+def _parameters_only(told: dict[str, Any]) -> str:
+    return "No physics is missing; the simulator's parameters were off and are refitted." + _would_show(told)
+
+
+def _inconclusive(told: dict[str, Any]) -> str:
+    reasons = told["insufficient"]
+    why, record = ("; ".join(r[key] for r in reasons) for key in ("reason", "record"))
+    moved = " Other parameters fit the held-out sessions better." if told["parameters"]["moved"] else ""
+    return f"The recordings do not suffice to say whether physics is missing: {why}. Record {record}.{moved}"
+
+
+def _unexplained(told: dict[str, Any]) -> str:
+    where = ", ".join(o["name"] for o in told["located"]["outputs"][:3])
+    depends = ", ".join(d["input"] for d in told["located"]["depends_on"][:3])
+    better_at = told["fit"]["black_box_better_at"]
+    return (
+        "Something is missing that the vocabulary does not explain."
+        + (f" It shows in {where}." if where else "")
+        + (f" It depends most on {depends}." if depends else "")
+        + (f" On held-out sessions a black box predicts better after {listed([_steps(h) for h in better_at])}."
+           if better_at else "")
+    )  # fmt: skip
+
+
+def _missing_physics(told: dict[str, Any]) -> str:
+    lines = f"The simulator leaves out: {_statements(told['effects'])}"
+    more = []
+    if told["left_over"]["outputs"]:
+        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]]
+        more.append(f"{listed(shares)} can be predicted from the rows before")
+    more += [law(term) for term in told["law"]]
+    if told["something_else"] or more:
+        lines += " Something else is missing as well" + (f": {'; '.join(more)}." if more else ".")
     acts_in = [e["regime"] for e in told["effects"]]
     elsewhere = [r for r in told["located"]["regimes"] if r["when"] not in acts_in]
-    if elsewhere and told["verdict"] == "missing_physics":
+    if elsewhere:
         rule = elsewhere[0]
         lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."
-    return lines + _improvement(models)
+    return lines
+
+
+_VERDICTS = {
+    "nothing": _nothing,
+    "parameters_only": _parameters_only,
+    "inconclusive": _inconclusive,
+    "unexplained": _unexplained,
+    "missing_physics": _missing_physics,
+}
+
+
+def _statements(effects: Sequence[dict[str, Any]]) -> str:
+    return " ".join(e["statement"] for e in effects)
+
+
+def _would_show(told: dict[str, Any]) -> str:
+    """What would have been found, and at what size: the first effect of every place where laws act."""
+    seen, place_of = told["sensitivity"], {e.id: e.place for e in CATALOGUE}
+    first: dict[str, dict[str, Any]] = {}
+    for v in seen["effects"]:
+        if v["size"] is not None:
+            first.setdefault(place_of[v["effect"]], v)
+    sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
+    return f" Found with a chance of {seen['chance']:.0%} would have been, for example: {'; '.join(sizes)}."
+
+
+def sized(visible: dict[str, Any]) -> str:
+    """The smallest size of an effect that would have been found, with its unit."""
+    return quantity({"value": visible["size"], "unit": visible["unit"]})
 
 
 def _improvement(models: dict[str, Any]) -> str:
-    if "augmented" not in models or "refitted" not in models:
+    """Against the better of the simulator as it is and refitted, at the longest horizon."""
+    if "augmented" not in models:
         return ""
-    before, after = models["refitted"], models["augmented"]
-    longest = max((m for m in before if m.startswith("error_") and "[" not in m), key=lambda m: int(m.split("_")[1]))
-    steps = longest.split("_")[1]
+    longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
+    names = {"as_is": "as it is", "refitted": "refitted"}
+    better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
+    before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
+    gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]
     return (
-        f" On sessions it never saw, the error after {steps} steps goes from {before[longest]['value']:.1%} to "
-        f"{after[longest]['value']:.1%} of the motion, the one-step log-likelihood up by "
-        f"{before['nll_1']['value'] - after['nll_1']['value']:.2f} nats a row, against the refitted simulator."
+        f" On held-out sessions the error after {_steps(_horizon(longest))} goes from {before:.1%} (the simulator "
+        f"{names[better[longest]]}) to {after:.1%} of the motion; the one-step log-likelihood changes by "
+        f"{gained:+.2f} nats a row against the simulator {names[better['nll_1']]}."
     )
+
+
+def _horizon(score: str) -> int:
+    return int(score.split("_")[1])
+
+
+def _steps(n: int) -> str:
+    return "one step" if n == 1 else f"{n} steps"
+
+
+def title(effect: str) -> str:
+    """An effect's name: its id with spaces."""
+    return effect.replace("_", " ")
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -14,7 +14,7 @@ KNOWN = candidates(SPOT, SCALES)
 
 def screened(name: str, *starts: float) -> list[Screened]:
     (candidate,) = (c for c in KNOWN if c.name == name)
-    return [Screened(candidate, (start,), 0, 1.0, 1.0, 1.0) for start in starts]
+    return [Screened(candidate, (start,), 0, 1.0, 1.0, 1.0, start) for start in starts]
 
 
 @pytest.mark.parametrize("seed", [RICH, 11, 12])

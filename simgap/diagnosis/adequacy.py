@@ -1,0 +1,97 @@
+"""The verdict: which names stand, whether something else is missing, and whether the recordings suffice to say so."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis import judge
+from simgap.diagnosis.confidence import told_from_nil
+from simgap.diagnosis.explain import EXPLAINED, LIKELY, Explanation
+from simgap.diagnosis.judge import Judged, Judgement
+from simgap.diagnosis.left_over import touched
+from simgap.diagnosis.rivals import Member
+from simgap.diagnosis.sensitivity import Sensitivity
+
+LARGE = 0.1
+"""Share of the error in its outputs that an effect must remove, at one horizon at least, to be named whatever else is
+missing."""
+WELL_DETERMINED = 5.0
+"""Standard deviations from zero at which a constant is known to 40 %, with 95 % confidence."""
+
+
+class Verdict(NamedTuple):
+    """What is concluded.
+
+    verdict: as in diagnosis.json. named: of each member, whether it is named. something_else: whether more is missing
+    than what is named. share: of the black box's one-step gain that the members make. beaten_at: horizons [rows] at
+    which a black box surely beats all others on held-out sessions; worse_at: those at which the model on the right is
+    worse than the one on the left. parameters_moved: whether held-out sessions gain by other parameters alone.
+    """
+
+    verdict: str
+    named: tuple[bool, ...]
+    something_else: bool
+    share: dict[str, Any] | None
+    beaten_at: tuple[int, ...]
+    worse_at: dict[tuple[str, str], list[int]]
+    parameters_moved: bool
+
+
+def conclude(found: Explanation, judged: Judgement, seen: Sensitivity, rng: np.random.Generator) -> Verdict:
+    """The verdict on the best explanation, by what held-out sessions say of it.
+
+    With a baseline a black box has no say: most of what it finds was there before.
+    """
+    nobody = tuple(False for _ in found.members)
+    if not judged.heldout or seen.few:
+        return Verdict("inconclusive", nobody, False, None, (), {}, False)
+    heldout = dict(judged.heldout)
+    box, refitted = heldout.pop("black_box"), heldout["refitted"]
+    augmented = heldout.get("augmented", refitted)
+    share = None if found.baseline else judge.explained_share(refitted, augmented, box, rng)
+    beaten = () if found.baseline else tuple(judge.beats(list(heldout.values()), box))
+    little = share is not None and share["ci95"][1] < EXPLAINED
+    named = tuple(_stands(found, judged, i, little, rng) for i in range(len(found.members)))
+    moved = judge.surely_likelier(heldout["as_is"], refitted)
+    pairs = [("as_is", "refitted"), *([("as_is", "augmented"), ("refitted", "augmented")] if found.members else [])]
+    worse = {pair: judge.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
+    verdict = _verdict(found, any(named), share is not None or bool(beaten), moved, seen)
+    return Verdict(verdict, named, little or bool(beaten) or not all(named), share, beaten, worse, moved)
+
+
+def _verdict(found: Explanation, named: bool, by_box: bool, moved: bool, seen: Sensitivity) -> str:
+    if named:
+        return "missing_physics"
+    # What is periodic, or odd in single rows, can be foretold in part.
+    accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
+    nameless = bool(found.left.nats.any() or found.law.terms) and not accounted
+    if found.members or by_box or nameless:
+        return "unexplained"
+    if found.scattered:
+        return "missing_physics"
+    if seen.hidden_effects or seen.hidden_channels:
+        return "inconclusive"
+    return "parameters_only" if moved else "nothing"
+
+
+def _stands(found: Explanation, judged: Judgement, i: int, little: bool, rng: np.random.Generator) -> bool:
+    """Whether a member is named: it explains most of what there is to explain, or stands out whatever else is missing.
+
+    What makes forecasts worse is a wrong idea, however likely it makes the next row.
+    """
+    m, (heldout, fitted) = found.members[i], judged.lacking[i]
+    pairs = ((heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"]))
+    if any(h > 1 for a, b in pairs for h in judge.worse_at(a, b, rng)):
+        return False
+    return (found.names(m) and not little) or _stands_out(found, m, *pairs[0], rng)
+
+
+def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:
+    """Whether an effect improves held-out forecasts at every horizon, by much at one, with its constant well known."""
+    if m.odds[m.candidate.effect.id] < LIKELY or not judge.surely_likelier(without, with_it):
+        return False
+    if not told_from_nil(found.problem, found.fit, m.candidate, found.sd, WELL_DETERMINED):
+        return False
+    outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
+    removed = judge.changes(without, with_it, rng, outputs)
+    return all(c["ci95"][1] < 0 for c in removed) and min(c["value"] for c in removed) < -LARGE
