@@ -36,7 +36,9 @@ def judge(key: Key, told: Statement | None, seconds: float | None, error: str | 
         "noise": key["recipe"]["level"], "glitches": key["recipe"]["outliers"], "wild": key["recipe"]["wild"],
         "verdict": told["verdict"], "told": "+".join(e["id"] for e in effects),
         "probability": effects[0]["probability"] if effects else math.nan, "seconds": seconds, "error": error,
-        "right_verdict": told["verdict"] in key["verdicts"],
+        # Of a null, "inconclusive" claims nothing; how often it is said is counted by itself.
+        "right_verdict": told["verdict"] in (*key["verdicts"], *["inconclusive"] * (key["kind"] == "null")),
+        "inconclusive": told["verdict"] == "inconclusive",
         "confident_wrong": any(_confident_wrong(e, truth) for e in effects),
         "extra": sum(not any(e["id"] in t for t in truth) for e in effects),
     }  # fmt: skip

@@ -61,6 +61,7 @@ def table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
     values = lambda rows, name: [r.get(name, np.nan) for r in rows]  # noqa: E731
     return [
         share("false alarms on nulls", "at most 1 %", nulls, lambda r: not r["right_verdict"]),
+        share("nulls on which nothing is concluded", "-", nulls, lambda r: r["inconclusive"]),
         share("top-1, 30 nats and more", "97 %", strong, lambda r: r["top1"]),
         share("top-1, 10 nats", "85 %", ten, lambda r: r["top1"]),
         share("confident-wrong on duels", "at most 1 %", duels, lambda r: r["confident_wrong"]),

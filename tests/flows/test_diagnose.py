@@ -55,7 +55,7 @@ def output(folder: Path, prefect_server: dict[str, str]) -> str:
 
 def test_the_statement_is_told_and_where_the_page_is(folder: Path, output: str) -> None:
     found = files.read_json(folder / "found" / "diagnosis.json")
-    assert found["verdict"] in ("missing_physics", "parameters_only", "nothing", "unexplained")
+    assert found["verdict"] in ("missing_physics", "parameters_only", "nothing", "unexplained", "inconclusive")
     assert found["simulator"] == "mine:DRIVE"
     assert found["statement"] in output
     (page,) = [line.split()[1] for line in output.splitlines() if line.startswith("page ")]

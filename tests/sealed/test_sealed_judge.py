@@ -42,6 +42,7 @@ def row(key: dict[str, Any], told: dict[str, Any] | None, error: str | None = No
     ("truth", "said", "fault"),
     [
         (key("null"), told("parameters_only"), ""),
+        (key("null"), told("inconclusive"), ""),
         (key("null"), told("unexplained"), "false alarm"),
         (key("null"), told("missing_physics", effect("gain")), "false alarm"),
         (key("single", "saturation"), told("missing_physics", effect("saturation")), ""),

@@ -122,9 +122,10 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
                            "refitted": scores(-24.9, 0.22, 0.41, 0.93, 0.22, 0.3),
                            "augmented": scores(-31.2, 0.13, 0.17, 0.29, 0.07, 0.09),
                            "black_box": scores(-30.8, 0.12, 0.18, 0.33, 0.09, 0.09)}},
-        "blind": [{"effect": "slope", "reason": "the robot never turned by more than 40 degrees"},
-                  {"effect": "body_frame_bias", "reason": "the robot never turned by more than 40 degrees"},
-                  {"effect": "gain_drift", "reason": "sessions are too short"}],
+        "sensitivity": {"chance": 0.9, "effects": [
+            {"effect": "delay", "where": "cmd_base_vx", "constant": "delay", "size": 0.0123, "unit": "s"},
+            {"effect": "delay", "where": "cmd_ee_vz", "constant": "delay", "size": None, "unit": "s"},
+            {"effect": "slope", "where": "base", "constant": "pull x", "size": None, "unit": "-"}]},
         "rounds": [
             {"threshold_nats": 11.4, "p_value": 0.002, "accepted": "delay on base",
              "candidates": [{"effect": "delay", "where": "base", "gain_nats": 812.0}] +
@@ -167,7 +168,7 @@ def nothing() -> tuple[dict[str, Any], dict[str, Any]]:
         m: scores(-30 - k, 0.13, 0.17, 0.29, 0.07, 0.09) for k, m in enumerate(("as_is", "refitted", "black_box"))
     }
     diagnosis |= {
-        "verdict": "nothing", "effects": [], "alternatives": [], "experiment": None, "blind": [], "notes": [],
+        "verdict": "nothing", "effects": [], "alternatives": [], "experiment": None, "notes": [],
         "statement": "No physics is missing: the recordings differ from the simulator by noise only.",
         "located": {"outputs": [], "regimes": [], "intervals": []}, "parameters": parameters(()),
         "fit": {"heldout_sessions": HELDOUT, "models": models, "explained_share": None, "explained_share_ci95": None},
@@ -268,7 +269,7 @@ def test_missing_physics_is_told_from_headline_to_notes(pages: dict[str, str]) -
              "experiment.csv", "became of the parameters?", "3 of 24 parameters moved",
              "Round 1: delay on base accepted",
              "And 9 more", "reach limit on ee accepted", "Round 3: nothing accepted (threshold 11.2 nats, p = 0.44)",
-             "slope, body frame bias: the robot never",
+             "cmd_base_vx delay 0.0123 s",
              "Session reach_d has 3 outliers"]  # fmt: skip
     places = [said.find(words) for words in order]
     assert -1 not in places, order[places.index(-1)]
@@ -322,7 +323,7 @@ def test_nothing_missing_says_so_in_every_section(pages: dict[str, str]) -> None
                   "No physics is missing: what the simulator",
                   "No other explanation is in the running, and no further experiment is called for",
                   "5.2 < 11.2 nats", "No parameter moved further",
-                  "No blind spots"):  # fmt: skip
+                  "cmd_base_vx delay 0.0123 s"):  # fmt: skip
         assert words in said
     assert "with effects" not in said
     assert len(pictures(pages["nothing"])) == 2
@@ -336,7 +337,7 @@ def test_noise_does_not_glow(pages: dict[str, str]) -> None:
 def test_an_unexplained_mismatch_is_still_located(pages: dict[str, str]) -> None:
     said = text(pages["unexplained"])
     assert "Unexplained mismatch" in said
-    assert "no effect of the vocabulary explains; section 1 says where it lives" in said
+    assert "no effect of the vocabulary explains; section 1 says where it shows" in said
     assert "It is greatest in ee_vx: 56 %" in said
 
 

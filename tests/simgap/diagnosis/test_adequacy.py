@@ -1,0 +1,178 @@
+"""Verdicts: what too little data leaves open, what "nothing" claims, and names that stand whatever else is missing."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside import SPOT as AS_IT_IS
+from planted import PHI, SENSOR, SPOT
+from small import RICH, acting, sessions
+
+from simgap.diagnosis import words
+from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.judge import HORIZONS, Judged, beats, better_of, changes, surely_likelier, worse_at
+from simgap.types import Recording
+
+
+def judged(error: np.ndarray, moved: float = 1.0, sessions: int = 2, nll: float = 0.0) -> Judged:
+    """Pieces [n, horizons, outputs] of sessions one after the other."""
+    n = len(error)
+    return Judged(error, np.full_like(error, moved), np.full(n, nll), np.arange(n) * sessions // n)
+
+
+def noise(seed: int, scale: float = 1.0, n: int = 200) -> np.ndarray:
+    return scale * np.random.default_rng(seed).normal(size=(n, len(HORIZONS), 3))
+
+
+# A black box against the simulator
+
+
+@pytest.mark.parametrize("k", range(len(HORIZONS)))
+def test_a_black_box_that_is_clearly_better_at_one_horizon_is_noticed_there(k: int) -> None:
+    simulator, box = noise(0), noise(1)
+    box[:, k] *= 0.3
+    assert beats([judged(simulator)], judged(box)) == [HORIZONS[k]]
+
+
+def test_it_must_beat_the_better_of_the_simulators() -> None:
+    nominal, refitted, box = judged(noise(0, 0.2)), judged(noise(1, 1.0)), judged(noise(2, 0.6))
+    assert beats([refitted], box) == list(HORIZONS)
+    assert beats([nominal, refitted], box) == []
+    assert better_of(refitted, nominal, 2) is nominal
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_alike_by_chance_is_not_better(seed: int) -> None:
+    """The level is 0.4 % for all horizons together: two models of equal error pass for unequal almost never."""
+    assert beats([judged(noise(seed))], judged(noise(seed + 1))) == []
+
+
+def test_forecasts_that_explode_are_compared_without_a_word() -> None:
+    exploded = judged(np.full((50, 3, 2), np.inf, np.float32))
+    assert beats([exploded], judged(noise(0, n=50)[..., :2])) == []
+    assert beats([judged(noise(0, n=50)[..., :2])], exploded) == []
+
+
+def test_where_refitting_makes_it_worse_is_known_by_horizon() -> None:
+    nominal, refitted = noise(0), noise(0)
+    refitted[:, 2] *= 1.5
+    rng = np.random.default_rng(0)
+    assert worse_at(judged(nominal), judged(refitted), rng) == [HORIZONS[2]]
+    (_, _, last) = changes(judged(nominal), judged(refitted), rng)
+    assert last["value"] == pytest.approx(0.5)
+    assert changes(judged(nominal), judged(refitted), rng, [0])[2]["value"] == pytest.approx(0.5)
+
+
+def test_two_pieces_are_too_few_to_be_sure() -> None:
+    assert not surely_likelier(judged(noise(0, n=2), nll=5.0, sessions=1), judged(noise(0, n=2), nll=0.0, sessions=1))
+
+
+# Too little data
+
+
+def still(r: Recording) -> Recording:
+    """As long, of a robot that stands and is commanded to: its sensors' noise alone."""
+    positions = [0.0 if f.kind == "velocity" else 1.0 for f in AS_IT_IS.schema.state]
+    seen = np.random.default_rng(int(r.name[1:])).normal(size=r.state.shape) * SENSOR
+    return Recording(r.name, r.time_s, r.state[:1] * positions + seen, 0 * r.command)
+
+
+@cache
+def told(kind: str) -> dict[str, Any]:
+    training, heldout = sessions({}, RICH)
+    if kind == "short":
+        training, heldout = ([Recording(r.name, r.time_s[:5], r.state[:5], r.command[:5]) for r in some]
+                             for some in (training, heldout))  # fmt: skip
+    if kind == "still":
+        training, heldout = ([still(r) for r in some] for some in (training, heldout))
+    return diagnose(AS_IT_IS, "spot", training, heldout).statement
+
+
+def test_sessions_of_five_rows_are_too_little() -> None:
+    said = told("short")
+    assert said["verdict"] == "inconclusive"
+    assert said["effects"] == said["resembles"] == []
+    assert said["sensitivity"]["segments"] == 3
+    assert "3 independent segments" in said["statement"]
+    assert "Record at least" in said["statement"]
+
+
+def test_where_nothing_moves_nothing_can_be_said() -> None:
+    said = told("still")
+    assert said["verdict"] == "inconclusive"
+    assert {"delay", "coulomb_friction"} <= set(said["sensitivity"]["hidden_effects"])
+    assert set(said["sensitivity"]["hidden_channels"]) == {f.name for f in AS_IT_IS.schema.command}
+    assert "cmd_base_vx" in said["statement"]
+
+
+def test_nothing_says_what_it_would_have_found_and_at_what_size() -> None:
+    said = told("rich")
+    assert said["verdict"] == "nothing"
+    sizes = {(v["effect"], v["where"]): v["size"] for v in said["sensitivity"]["effects"]}
+    assert 0 < sizes["delay", "cmd_base_vx"] <= 0.5 / 15
+    assert 0 < sizes["coulomb_friction", "base_vx"] < 0.1
+    assert sizes["sensor_bias", "ee_z"] is None  # a height has no origin in this simulator
+    assert "delay on cmd_base_vx" in said["statement"]
+    assert said["insufficient"] == []
+
+
+def test_an_effect_of_the_size_that_is_stated_is_found() -> None:
+    """Three times the smallest size is a gain of nine times what is needed."""
+    (size,) = (v["size"] for v in told("rich")["sensitivity"]["effects"]
+               if (v["effect"], v["where"]) == ("coulomb_friction", "base_vx"))  # fmt: skip
+    said = diagnose(AS_IT_IS, "spot", *sessions(acting("coulomb_friction", (3 * size,), (0,)), RICH)).statement
+    assert said["verdict"] == "missing_physics"
+
+
+# One effect, and something else
+
+
+@cache
+def delay_and_more() -> dict[str, Any]:
+    """A delay of the base's commands, and a hand that is lifted by speed times turning, of which there is no word."""
+    training, heldout = sessions(acting("delay", (1.4,), (0, 1, 2)), RICH)
+
+    def lifted(r: Recording) -> Recording:
+        forward = np.cos(r.state[:, 2]) * r.state[:, 3] + np.sin(r.state[:, 2]) * r.state[:, 4]
+        push, state = 2.0 * forward * r.state[:, 5], r.state.copy()
+        state[:, 11] += push
+        state[:, 8] += np.cumsum(push) / 15
+        return r._replace(state=state)
+
+    return diagnose(AS_IT_IS, "spot", *([lifted(r) for r in some] for some in (training, heldout))).statement
+
+
+def test_a_strong_effect_is_named_though_more_is_missing() -> None:
+    said = delay_and_more()
+    assert said["verdict"] == "missing_physics"
+    assert "delay" in [e["id"] for e in said["effects"]]
+    assert said["something_else"] or said["law"] or said["left_over"]["outputs"]
+    assert "Something else is missing as well" in said["statement"]
+
+
+# Words
+
+
+def models(**errors: float) -> dict[str, Any]:
+    return {m: {"nll_1": {"value": -1.0}, "error_1": {"value": e}, "error_50": {"value": e}} for m, e in errors.items()}
+
+
+def test_the_headline_compares_with_the_better_of_nominal_and_refitted() -> None:
+    said = words._improvement(models(as_is=0.175, refitted=0.376, augmented=0.017))
+    assert "from 17.5% (the simulator as it is) to 1.7%" in said
+
+
+def test_a_refit_that_is_worse_is_a_warning() -> None:
+    worse = [{"model": "refitted", "than": "as_is", "at": [50]}]
+    (line,) = words.warnings({"fit": {"models": models(as_is=0.175, refitted=0.376), "worse": worse}})
+    assert "the refitted simulator is worse than the simulator as it is after 50 steps: 37.6% against 17.5%" in line
+
+
+def test_the_parameters_of_these_tests_are_the_nominal_ones() -> None:
+    """So that `nothing` is right, and not other parameters."""
+    np.testing.assert_allclose([p.nominal for p in AS_IT_IS.parameters], PHI)
+    assert SPOT.simulator.schema == AS_IT_IS.schema
