@@ -65,15 +65,18 @@ def within_session(
 
 def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:
     effect, sites = CATALOGUE[e], augmented.sites[e]
-    groups = tuple(Group(tuple(augmented.index[Slot(e, k, s)] for s in members)) for k in range(len(effect.constants)))
+    entries = [tuple(augmented.index[Slot(e, k, s)] for s in members) for k in range(len(effect.constants))]
     low, high = augmented.bounds
     starts = []
     # Sites that share a constant are searched at the start of the one with the greatest range.
     lead = max(members, key=lambda s: abs(effect.starts(scales, s)[0][0]) if "limit" not in effect.constants[0].name
                else -abs(effect.starts(scales, s)[0][0]))  # fmt: skip
     for start in effect.starts(scales, lead):
-        limits = [(low[g.entries[0]], high[g.entries[0]]) for g in groups]
+        limits = [(low[of[0]], high[of[0]]) for of in entries]
         starts.append(tuple(float(np.clip(c, *limit)) for c, limit in zip(start, limits, strict=True)))
+    # The smallest size that a constant is looked for at is its scale.
+    sizes = [min(abs(c) for c in of if c) for of in zip(*starts, strict=True)]
+    groups = tuple(Group(of, size) for of, size in zip(entries, sizes, strict=True))
     return Candidate(
         effect, members, where, _union(sites[s].channels for s in members), _union(sites[s].outputs for s in members),
         groups, tuple(starts),

@@ -4,22 +4,28 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.candidates import Candidate, unit_of
-from simgap.diagnosis.fit import Fit, Group, Problem, constant_columns, directions, weights
+from simgap.diagnosis.fit import Fit, Group, Problem, constant_columns, directions, spans, weights
 from simgap.diagnosis.screen import blocks
 from simgap.diagnosis.search import LEAST_SHARE
 from simgap.effects.effect import Constant
 
 Z95 = 1.96
+EDGE = 1e-3
+"""Of a parameter's range: what is nearer to an end of it is at that end."""
 
 
 class Spread(NamedTuple):
-    """Standard deviations of phi and of the effects' constants (internal), in the order of the fit's groups."""
+    """Standard deviations of phi and of the effects' constants (internal), in the order of the fit's groups.
+
+    seen: which parameters the recordings depend on at all, by a finite derivative.
+    """
 
     phi: Float[np.ndarray, " p"]
     constants: Float[np.ndarray, " k"]
+    seen: Bool[np.ndarray, " p"]
 
 
 def spread(
@@ -35,15 +41,30 @@ def spread(
     weighted = columns * w
     flat = columns.reshape(len(columns), -1).astype(np.float64)
     hessian = weighted.reshape(len(columns), -1) @ flat.T + np.diag(precision)
-    inverse = np.linalg.pinv(hessian, hermitian=True)
+    scale = np.sqrt(np.diag(hessian))
+    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     rows = (weighted * fit.e).sum(-1)
     starts = blocks(np.asarray(problem.chunks.counts)) if starts is None else starts
     score = np.add.reduceat(rows, starts, axis=1)
     sandwich = inverse @ (score @ score.T) @ inverse
     sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
-    parameters = problem.augmented.simulator.parameters
-    ranges = np.array([p.high - p.low or 1.0 for p in parameters])
-    return Spread(sd[: len(parameters)] * ranges, sd[len(nuisance) :])
+    p, sizes = len(fit.v.phi), np.array([group.scale for group in fit.groups])
+    return Spread(
+        sd[:p] * spans(problem), sd[len(nuisance) :] * sizes, np.abs(columns[:p]).max((1, 2), initial=0.0) > 0
+    )
+
+
+def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
+    """Parameters that the fit would have left their range with, or nearly, each with a sentence about it."""
+    said = {}
+    for p, value in zip(problem.augmented.simulator.parameters, map(float, fit.v.phi), strict=True):
+        for end, beyond in ((p.low, "smaller"), (p.high, "larger")):
+            if abs(value - end) <= EDGE * (p.high - p.low) and p.low < p.high:
+                said[p.name] = (
+                    f"{p.name} is at the edge of its range ({end:g}{p.unit and f' {p.unit}'}): widen the range if "
+                    f"{beyond} values are plausible."
+                )
+    return said
 
 
 def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:

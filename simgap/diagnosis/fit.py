@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import lsq_linear
 from scipy.special import gammaln
 
@@ -26,7 +26,13 @@ BATCH = 16
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
 NARROW = 1e-9
-"""Added to bounds, which must not touch."""
+"""Added to bounds, which must not touch [root nats]."""
+STEP = 0.02
+"""Of a constant's size and scale: the step of its central differences."""
+PHI_STEP = 1e-3
+"""Of a parameter's range, and of the gain: the step where the derivative itself is not finite."""
+FURTHEST = 1e15
+"""Decorrelated innovations beyond this count as this: their squares stay finite in 32 bits."""
 ROUNDING = 1e-6
 """Least curvature of a Hessian with a diagonal of ones; what lies below, or below zero, is the products' rounding."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
@@ -59,9 +65,11 @@ class Problem(NamedTuple):
 
 
 class Group(NamedTuple):
-    """One free constant: the entries of theta that share it, and whether it acts where gated only."""
+    """One free constant: the entries of theta that share it, the size it is looked for at (its unit in fits and
+    derivatives), and whether it acts where gated only."""
 
     entries: tuple[int, ...]
+    scale: float
     gated: bool = False
 
 
@@ -96,7 +104,9 @@ def weights(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s
 
 def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
     """Scale for every dof of `DOFS`, each from where the one before ended, and the dof of greatest likelihood."""
-    squared = np.maximum(e.T.astype(np.float32) ** 2, np.float32(1e-30))
+    if not len(e):
+        return Noise(np.ones(e.shape[1]), np.full(e.shape[1], DOFS[-1]))
+    squared = np.maximum(np.clip(e.T.astype(np.float32), -FURTHEST, FURTHEST) ** 2, np.float32(1e-30))
     variance, found = np.maximum(np.median(squared, axis=-1) * 2, 1e-18), []
     for dof in DOFS:
         variance, density = _fit_scale(squared, variance, float(dof), FROM_NEAR if found else FROM_AFAR)
@@ -142,39 +152,55 @@ def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: N
 
 def start(problem: Problem) -> Variables:
     """Nominal parameters, equal trust in prediction and measurement, no effect."""
-    phi = [p.nominal if p.nominal is not None else (p.low + p.high) / 2 for p in problem.augmented.simulator.parameters]
     layout = problem.augmented.layout
     sizes = (len(layout.schema.state), len(layout.akin), len(problem.augmented.slots))
     gain, cross, zero = (np.zeros(n, np.float32) for n in sizes)
-    return Variables(np.array(phi, np.float32), gain + 0.5, cross, zero, zero)
+    return Variables(problem.augmented.nominal, gain + 0.5, cross, zero, zero)
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
-    """W with W e uncorrelated and of unit scale, by the covariance of what is left when outliers are clipped."""
-    scale = np.median(np.abs(e), axis=0) * 1.4826 + 1e-9
+    """W with W e uncorrelated and of unit scale, by the covariance of what is left when outliers are clipped.
+
+    Outputs that are always zero keep their scale. The identity where an innovation is not finite.
+    """
+    if not np.isfinite(e).all():
+        return np.eye(e.shape[1])
+    size = np.abs(e.astype(np.float64))
+    scale = np.zeros(e.shape[1]) if not len(e) else np.median(size, axis=0) * 1.4826
+    # Of an output that mostly stays exactly where it is, what it does elsewhere.
+    scale = np.where(scale > 0, scale, size.max(0, initial=0.0))
+    scale = np.where(scale > 0, scale, 1.0)
     z = np.clip(e / scale, -3, 3)
-    covariance = np.cov(z.T).reshape(e.shape[1], -1) + 1e-4 * np.eye(e.shape[1])
+    z = z - z.sum(0) / max(len(z), 1)
+    covariance = z.T @ z / max(len(z) - 1, 1) + 1e-4 * np.eye(e.shape[1])
     return np.linalg.inv(np.linalg.cholesky(covariance)) / scale
 
 
 def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Float[np.ndarray, " M"]]:
-    """Unit directions of all that is free (phi, K, constants), and the precision of their prior."""
+    """Unit directions of all that is free (phi by ranges, K, constants by scales), and the precision of their prior."""
     p, s, size = len(problem.augmented.simulator.parameters), len(problem.whiten), len(problem.augmented.slots)
     c = len(problem.augmented.layout.akin)
-    ranges = np.array([q.high - q.low or 1.0 for q in problem.augmented.simulator.parameters])
     m = p + s + c + len(groups)
     phi, gain, cross, theta, gated = (np.zeros((m, n), np.float32) for n in (p, s, c, size, size))
-    phi[:p] = np.diag(ranges)
+    phi[:p] = np.diag(spans(problem))
     gain[p : p + s] = np.eye(s)
     cross[p + s : p + s + c] = np.eye(c)
     for k, group in enumerate(groups):
-        (gated if group.gated else theta)[p + s + c + k, list(group.entries)] = 1.0
+        (gated if group.gated else theta)[p + s + c + k, list(group.entries)] = group.scale
     precision = [(p, PRIOR_PRECISION), (s, 0.1), (c, 1.0), (len(groups), 1e-8)]
     return Variables(phi, gain, cross, theta, gated), np.concatenate([np.full(n, each) for n, each in precision])
 
 
+def spans(problem: Problem) -> Float[np.ndarray, " p"]:
+    """Widths of the parameters' ranges: their units in fits and derivatives."""
+    return np.array([q.high - q.low or 1.0 for q in problem.augmented.simulator.parameters])
+
+
 def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s"]:
-    """Derivatives of the decorrelated innovations by phi (in ranges) and K."""
+    """Derivatives of the decorrelated innovations by phi (in ranges) and K.
+
+    As differences where a derivative is not finite, as that of a root at zero; zero where these are not either.
+    """
     free, _ = directions(problem, ())
     count = len(free.phi)
 
@@ -185,7 +211,37 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
         raw = tangents(problem.augmented, problem.scales, v, *along, problem.chunks)
         return _decorrelated(problem, raw)[: count - first]
 
-    return np.concatenate(side_by_side(batch, range(0, count, BATCH)))
+    columns = np.concatenate(side_by_side(batch, range(0, count, BATCH)))
+    odd = np.flatnonzero(~_bounded(columns))
+    return _without_odd(columns, odd, _differences(problem, v, odd)) if len(odd) else columns
+
+
+def _bounded(columns: Float[np.ndarray, "M n s"]) -> Bool[np.ndarray, " M"]:
+    """Whether columns are finite, and their squares as well."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.array([np.isfinite(np.vdot(c, c)) for c in columns], bool)
+
+
+def _without_odd(columns: np.ndarray, odd: np.ndarray, others: np.ndarray) -> Float[np.ndarray, "M n s"]:
+    """Columns with some replaced by others where those are bounded, and by zero where not."""
+    columns[odd] = np.where(_bounded(others)[:, None, None], others, 0.0)
+    return columns
+
+
+def _differences(problem: Problem, v: Variables, which: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k n s"]:
+    """Derivatives along some directions of phi and K as differences, within bounds."""
+    size = len(directions(problem, ())[1])
+    plus, minus = ([_moved(problem, v, (), d * np.eye(size)[k]) for k in which] for d in (PHI_STEP, -PHI_STEP))
+    down, up = _room(problem, v, ())
+    width = np.minimum(up, PHI_STEP) - np.maximum(down, -PHI_STEP)
+    return _slopes(trials(problem, [*plus, *minus]), width[which])
+
+
+def _slopes(e: Float[np.ndarray, "2k n s"], width: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n s"]:
+    """Differences of the first and the second half, over their distances; zero where that is zero."""
+    k, wide = len(width), np.where(width > 0, width, np.inf).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return (e[:k] - e[k:]) / wide[:, None, None]
 
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
@@ -219,46 +275,49 @@ def side_by_side(function: Callable, items: Iterable) -> list:
 
 
 def constant_columns(problem: Problem, v: Variables, groups: Sequence[Group]) -> Float[np.ndarray, "k n s"]:
-    """Derivatives by constants as central differences, wide enough to see over kinks; one-sided at a bound."""
+    """Derivatives by constants (in scales) as central differences, wide enough to see over kinks; one-sided at a bound,
+    and zero where the simulator leaves the finite numbers."""
     if not groups:
         return np.zeros((0, int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)), np.float32)
-    low, high = problem.augmented.bounds
     plus, minus, width = [], [], []
     for group in groups:
         entries = list(group.entries)
         base = v.gated if group.gated else v.theta
         value = float(base[entries[0]])
-        h = 0.02 * abs(value) + 1e-3
-        up, down = min(value + h, _least(high, entries)), max(value - h, _most(low, entries))
-        for target, to in ((plus, up), (minus, down)):
+        h = STEP * (abs(value) + group.scale)
+        low, high = _bounds(problem, v, group)
+        ends = np.array([min(value + h, high), max(value - h, low)], np.float32)
+        for target, to in zip((plus, minus), ends, strict=True):
             changed = replaced(base, entries, to)
             target.append(v._replace(gated=changed) if group.gated else v._replace(theta=changed))
-        width.append(max(up - down, 1e-9))
-    e = trials(problem, [*plus, *minus])
-    k = len(groups)
-    return (e[:k] - e[k:]) / np.array(width, np.float32)[:, None, None]
+        width.append(float(ends[0] - ends[1]) / group.scale)
+    columns = _slopes(trials(problem, [*plus, *minus]), np.array(width))
+    odd = np.flatnonzero(~_bounded(columns))
+    return _without_odd(columns, odd, np.zeros_like(columns[odd])) if len(odd) else columns
 
 
-def _least(high: np.ndarray, entries: list[int]) -> float:
-    return float(high[entries].min())
-
-
-def _most(low: np.ndarray, entries: list[int]) -> float:
-    return float(low[entries].max())
+def _bounds(problem: Problem, v: Variables, group: Group) -> tuple[float, float]:
+    """Between which a constant makes sense: where it is gated, together with what acts everywhere."""
+    entries = list(group.entries)
+    low, high = (bound[entries] for bound in problem.augmented.bounds)
+    if not group.gated:
+        return float(low.max()), float(high.min())
+    here, value = np.asarray(v.theta)[entries], float(v.gated[entries[0]])
+    return min(float((low - here).max()), value), max(float((high - here).min()), value)
 
 
 def _room(
     problem: Problem, v: Variables, groups: Sequence[Group]
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
     """How far each free direction can be gone from v, down and up."""
-    low, high = problem.augmented.bounds
-    down = [np.full(len(v.phi), -np.inf), TRUST[0] - v.gain, -CROSS - v.cross]
-    up = [np.full(len(v.phi), np.inf), TRUST[1] - v.gain, CROSS - v.cross]
+    (low, high), units = problem.augmented.ranges, spans(problem)
+    down = [(low - v.phi) / units, TRUST[0] - v.gain, -CROSS - v.cross]
+    up = [(high - v.phi) / units, TRUST[1] - v.gain, CROSS - v.cross]
     for group in groups:
-        entries = list(group.entries)
-        value = v.theta[entries[0]]
-        down.append([-np.inf if group.gated else _most(low, entries) - value])
-        up.append([np.inf if group.gated else _least(high, entries) - value])
+        least, most = (-np.inf, np.inf) if group.gated else _bounds(problem, v, group)
+        value = v.theta[group.entries[0]]
+        down.append(np.array([(least - value) / group.scale]))
+        up.append(np.array([(most - value) / group.scale]))
     return np.minimum(np.concatenate(down), 0.0), np.maximum(np.concatenate(up), 0.0)
 
 
@@ -269,7 +328,8 @@ def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.nd
     low, high = problem.augmented.bounds
     own = [i for g in groups if not g.gated for i in g.entries]
     theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
-    return moved._replace(theta=theta, gain=np.clip(moved.gain, *TRUST), cross=np.clip(moved.cross, -CROSS, CROSS))
+    phi = np.clip(moved.phi, *problem.augmented.ranges)
+    return Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.gated)
 
 
 def replaced(values: Float[np.ndarray, " P"], entries: Sequence[int], by: Any) -> Float[np.ndarray, " P"]:
@@ -283,9 +343,13 @@ def _prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np
     """Where v stands from the prior's centre, along the free directions."""
     parameters = problem.augmented.simulator.parameters
     middle = np.array([(p.low + p.high) / 2 for p in parameters])
-    ranges = np.array([p.high - p.low or 1.0 for p in parameters])
     return np.concatenate(
-        [(np.asarray(v.phi) - middle) / ranges, np.asarray(v.gain) - 0.5, np.asarray(v.cross), np.zeros(len(groups))]
+        [
+            (np.asarray(v.phi) - middle) / spans(problem),
+            np.asarray(v.gain) - 0.5,
+            np.asarray(v.cross),
+            np.zeros(len(groups)),
+        ]
     )
 
 
@@ -315,17 +379,22 @@ def gauss_newton(
 
     The gradient is that at `fit`; of the Hessian, whose products are dear, only the level of its weights is.
     """
+    if not len(fit.e):
+        return fit
     w = weights(fit.e, fit.noise).astype(np.float32)
     level, k = w.mean(0) / held.weights.mean(0), len(renewed)
     rows = np.concatenate([renewed * (held.weights * level), [w * fit.e]]).reshape(k + 1, -1)
     by_held, by_renewed = (rows @ c.reshape(len(c), rows.shape[1]).T for c in (held.columns, renewed))
     offset = _prior_offset(problem, fit.v, fit.groups)
     upper = np.hstack([np.tensordot(level, held.gram, 1), by_held[:k].T])
-    hessian = np.vstack([upper, np.hstack([by_held[:k], by_renewed[:k]])]).astype(np.float64) + np.diag(precision)
+    curvature = np.vstack([upper, np.hstack([by_held[:k], by_renewed[:k]])]).astype(np.float64)
+    hessian = curvature + np.diag(precision)
     gradient = np.concatenate([by_held[k], by_renewed[k]]).astype(np.float64) + precision * offset
-    if not np.isfinite(hessian).all():
+    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
         return fit
-    delta = lowest(hessian, gradient, *_room(problem, fit.v, fit.groups))
+    # What the recordings do not depend on, or not by a finite derivative, stays where it is.
+    down, up = (np.where(np.diag(curvature) > 0, room, 0.0) for room in _room(problem, fit.v, fit.groups))
+    delta = lowest(hessian, gradient, down, up)
 
     def value(e: np.ndarray, v: Variables) -> float:
         if not np.isfinite(e).all():
@@ -366,7 +435,8 @@ def lowest(
     curvature, axes = np.linalg.eigh(hessian / np.outer(scale, scale))
     root = np.sqrt(np.maximum(curvature, ROUNDING))
     target = -(axes.T @ (gradient / scale)) / root
-    return lsq_linear(root[:, None] * axes.T * scale, target, (down - NARROW, up + NARROW), method="bvls").x
+    bounds = down * scale - NARROW, up * scale + NARROW
+    return lsq_linear(root[:, None] * axes.T, target, bounds, method="bvls").x / scale
 
 
 def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:

@@ -94,12 +94,17 @@ class Weighed(NamedTuple):
 
 
 class Screening(NamedTuple):
-    """All hypotheses, best first, what speaks for each, and the chance that noise alone gives as good a best one."""
+    """All hypotheses, best first, what speaks for each, and the chance that noise alone gives as good a best one.
+
+    threshold: of the statistic, at `level`. untested: names of the hypotheses with which the simulator leaves the
+    finite numbers, wherever they start.
+    """
 
     found: list[Screened]
     evidence: Evidence
     p_value: float
-    threshold: float  # of the statistic, at `level`
+    threshold: float
+    untested: tuple[str, ...]
 
 
 def vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Variables:
@@ -161,7 +166,7 @@ def screen(
         return [t for part in side_by_side(batch, parts) for t in part]
 
     def summed(results: Sequence[_Tested]) -> tuple[Evidence, Weighed, list[Screened]]:
-        score, power = (np.array([t[i] for t in results]).reshape(-1, len(fit.e)) for i in (1, 2))
+        score, power = (np.array([t[i] for t in results]).reshape(len(results), len(fit.e)) for i in (1, 2))
         two_sided = [low[d.candidate.groups[d.constant].entries[0]] < 0 for d, *_ in results]
         evidence = Evidence(score, power, np.array(two_sided, bool))
         weighed = weigh(evidence, starts)
@@ -176,12 +181,15 @@ def screen(
     evidence, weighed, found = summed(results)
     best_first = np.argsort(-weighed.gain, kind="stable")
     evidence = Evidence(*(a[best_first] for a in evidence))
-    return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, level, rng))
+    known = {s.candidate.name for s in found}
+    untested = tuple(c.name for c in candidates if c.name not in known)
+    return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, level, rng), untested)
 
 
 def basis_of(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:
     """Orthonormal columns that span the rows, from the rows' products: of few long rows, in a tenth of QR's time."""
-    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.float32(1e-30))
+    length = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
+    rows = (rows / np.where(length > 0, length, 1.0)).astype(np.float32)
     values, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
     kept = values > DEPENDENT * values[-1]
     return rows.T @ (vectors[:, kept] / np.sqrt(values[kept])).astype(np.float32)
@@ -255,6 +263,9 @@ def weigh(evidence: Evidence, starts: Int[np.ndarray, " B"]) -> Weighed:
     """How each direction and the residual go together; `starts` are those of the blocks."""
     score, power, two_sided = evidence
     in_blocks = partial(np.add.reduceat, indices=starts, axis=1, dtype=np.float64)
+    if not len(starts):
+        nil = np.zeros(len(score))
+        return Weighed(nil, nil, nil, np.zeros((len(score), 0)))
     scores, powers = in_blocks(score), in_blocks(power)
     total, information = scores.sum(1), powers.sum(1)
     something = information > NOTHING
@@ -315,7 +326,7 @@ def blocks(counts: np.ndarray) -> np.ndarray:
     for n in counts.sum(1):
         starts += list(range(total, total + int(n), BLOCK))
         total += int(n)
-    return np.array(starts)
+    return np.array(starts, int)
 
 
 def by_chance(weighed: Weighed, level: float, rng: np.random.Generator) -> tuple[float, float]:

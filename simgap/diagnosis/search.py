@@ -23,6 +23,7 @@ from simgap.diagnosis.fit import (
     refine,
     replaced,
     side_by_side,
+    start,
     trials,
     whitening,
 )
@@ -145,10 +146,18 @@ def without(fit: Fit, groups: Sequence[Group]) -> Fit:
 
 
 def lacking(model: Model, effects: Sequence[Candidate], enough: float = CONVERGED) -> Model:
-    """The model without some of its effects, fitted anew until steps gain less than `enough` [nats]."""
+    """The model without some of its effects, fitted anew until steps gain less than `enough` [nats].
+
+    From nominal parameters and gain where the simulator leaves the finite numbers without these effects, and without
+    any of them where it does so there as well.
+    """
     problem, fit, _ = model
-    rest = without(fit, [group for effect in effects for group in effect.groups])
-    return Model(problem, *optimise(problem, evaluate(problem, rest.v, rest.groups), enough))
+    rest, nominal = without(fit, [group for effect in effects for group in effect.groups]), start(problem)
+    for v in (rest.v, nominal._replace(theta=rest.v.theta, gated=rest.v.gated), nominal):
+        begun = evaluate(problem, v, rest.groups)
+        if np.isfinite(begun.loglik):
+            break
+    return Model(problem, *optimise(problem, begun, enough))
 
 
 def settled(gain: float) -> float:
@@ -183,7 +192,9 @@ def one_more(
     tried: list[Tried] = []
     for some in _at_once(likely):
         best = max([t.gain for t in (*fitted, *tried)], default=0.0)
-        tried += side_by_side(lambda s: _try(problem, fit, held, s, 3), [s for s in some if s.gain >= HOPELESS * best])
+        some = [s for s in some if s.gain >= HOPELESS * best]
+        begun = side_by_side(lambda s: _try(problem, fit, held, s, 3), some)
+        tried += [t for t in begun if np.isfinite(t.gain)]
     tried.sort(key=lambda t: -t.promise)
     finalists = side_by_side(lambda t: t.further(lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
     others, tried = tried[FINALISTS:], []

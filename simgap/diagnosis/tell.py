@@ -96,7 +96,8 @@ def statement(
             "black_box_better_at": list(concluded.beaten_at),
             "worse": [{"model": b, "than": a, "at": at} for (a, b), at in concluded.worse_at.items() if at],
         },
-        "sensitivity": _sensitivity(outcome.seen), "rounds": _rounds(found), "notes": _notes(sessions),
+        "sensitivity": _sensitivity(outcome.seen), "rounds": _rounds(found), "untested": _untested(found),
+        "notes": _notes(found, sessions),
     }  # fmt: skip
     told |= {"insufficient": words.insufficient(told)}
     return {**told, "warnings": words.warnings(told), "statement": words.statement(told)}
@@ -255,11 +256,15 @@ def _alternatives(members: Sequence[Member]) -> list[dict[str, Any]]:
 def _parameters(found: Explanation) -> dict[str, Any]:
     simulator = found.problem.augmented.simulator
     names = [p.name for p in simulator.parameters]
-    before, after = (dict(zip(names, map(float, np.asarray(f.v.phi)), strict=True)) for f in (found.as_is, found.fit))
-    width = dict(zip(names, confidence.Z95 * found.sd.phi, strict=True))
+    low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).T
+    phi, width = np.asarray(found.fit.v.phi, float), confidence.Z95 * found.sd.phi
+    ends = (phi - width, phi + width)
+    before, after, *ends = (np.clip(a, low, high).tolist() for a in (np.asarray(found.as_is.v.phi, float), phi, *ends))
     return {
-        "before": before, "after": after,
-        "ci95": {n: [after[n] - float(width[n]), after[n] + float(width[n])] for n in names},
+        "before": dict(zip(names, before, strict=True)), "after": dict(zip(names, after, strict=True)),
+        "ci95": {n: list(between) for n, *between in zip(names, *ends, strict=True)},
+        "at_bound": list(confidence.at_bound(found.problem, found.fit)),
+        "undetermined": [n for n, seen in zip(names, found.sd.seen, strict=True) if not seen],
         "units": {p.name: p.unit for p in simulator.parameters},
         "ranges": {p.name: [p.low, p.high] for p in simulator.parameters},
     }  # fmt: skip
@@ -290,7 +295,22 @@ def _rounds(found: Explanation) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _notes(sessions: Sessions) -> list[str]:
+def _untested(found: Explanation) -> list[str]:
+    """Hypotheses that no round could test: the simulator leaves the finite numbers with them."""
+    return list(found.rounds[0].screening.untested)
+
+
+def _notes(found: Explanation, sessions: Sessions) -> list[str]:
+    notes = list(confidence.at_bound(found.problem, found.fit).values())
+    notes += [
+        f"{p.name} is not determined: the recordings do not depend on it, or its derivative is not finite."
+        for p, seen in zip(found.problem.augmented.simulator.parameters, found.sd.seen, strict=True)
+        if not seen
+    ]
+    if untested := _untested(found):
+        notes.append(f"Could not test {', '.join(untested)}: the simulator leaves the finite numbers there.")
     if len(sessions.heldout) < judge.LEAST_SESSIONS:
-        return ["Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."]
-    return []
+        notes.append(
+            "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
+        )
+    return notes

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
 from simgap.effects.command_path import NEVER, fading_of
-from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Site, Step, usual_push
 from simgap.layout import Layout, Motion, carried_velocity, motion, push, substituted
 from simgap.types import StepModel
 
@@ -70,6 +70,21 @@ class Augmented:
         """Least and greatest internal values of theta."""
         constants = [CATALOGUE[slot.effect].constants[slot.constant] for slot in self.slots]
         return np.array([c.low for c in constants]), np.array([c.high for c in constants])
+
+    @cached_property
+    def ranges(self) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """Least and greatest values of the parameters in 32 bits: none lies outside the range that is declared."""
+        low, high = (np.array(ends) for ends in zip(*((p.low, p.high) for p in self.simulator.parameters), strict=True))
+        least, most = low.astype(np.float32), high.astype(np.float32)
+        least = np.where(least < low, np.nextafter(least, np.float32(np.inf)), least)
+        most = np.where(most > high, np.nextafter(most, np.float32(-np.inf)), most)
+        return least, np.maximum(least, most)
+
+    @cached_property
+    def nominal(self) -> Float[np.ndarray, " p"]:
+        """The parameters that the simulator is used with as it is."""
+        values = [(p.low + p.high) / 2 if p.nominal is None else p.nominal for p in self.simulator.parameters]
+        return np.clip(np.array(values, np.float32), *self.ranges)
 
     @cached_property
     def effect_of(self) -> np.ndarray:
@@ -216,12 +231,14 @@ def advance(
         nil = jnp.zeros_like(now.velocity)
 
         def response() -> Float[Array, "b 4"]:
-            du, dv, _ = push(layout, now.heading, jnp.ones_like(nil))
+            # Of the usual size: in other units a push of one is nothing beside the velocity's rounding.
+            size = usual_push(layout, scales)
+            du, dv, _ = push(layout, now.heading, size * jnp.ones_like(nil))
             moved = simulator.step(phi, start, u + du) + dv
             # The frames stay: a push that turns a body is none along its other axes.
             for heading in {h for h in layout.heading if h is not None}:
                 moved = substituted(moved, heading, then[heading])
-            return motion(layout, moved).velocity - expected.velocity
+            return (motion(layout, moved).velocity - expected.velocity) / size
 
         def own() -> Motion:
             return motion(layout, simulator.step(phi, start - carried_velocity(layout, start, start), u))

@@ -170,7 +170,7 @@ def _fractions(*fractions: float):
 
 def _reciprocals(usual: Callable[[Scales], np.ndarray], *fractions: float):
     """Of fractions of what is usual in the channel; beyond it too, where few rows feel a limit, but strongly."""
-    return lambda scales, site: [[1 / max(f * float(usual(scales)[site]), 1e-6)] for f in fractions]
+    return lambda scales, site: [[1 / (f * float(usual(scales)[site]))] for f in fractions]
 
 
 def _fixed(*values: float):

@@ -47,9 +47,11 @@ class Scales(NamedTuple):
 
     command, command_step: 95th percentile of |u| and of |u_t - u_{t-1}| where it moves, per channel. speed: of the
     bodies' own velocities [b, 4]; axis_speed, axis_command: of the velocity and the command (or velocity) at each axis
-    site. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies `reaching` [n, 21];
-    height: of z, of the bodies `floored` [n, 21]. interval: time [s] by which each position integrates its velocity.
-    output: 95th percentile of |output| less its median. duration: of the longest session [s]. time_step [s].
+    site; where a command is always zero, the one that changes the velocity by as much as it changes. reach: quantiles
+    0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies `reaching` [n, 21]; height: of z, of the
+    bodies `floored` [n, 21]. interval: time [s] by which each position integrates its velocity. output: 95th percentile
+    of |output| less its median. duration: of the longest session [s]. time_step [s]. None but speed, reach, height and
+    interval is zero.
     """
 
     command: np.ndarray
@@ -202,6 +204,13 @@ def reaching(layout: Layout) -> list[int]:
 def floored(layout: Layout) -> list[int]:
     """Bodies whose height is measured."""
     return [b for b in range(len(layout.bodies)) if layout.position[b, 2] >= 0]
+
+
+def usual_push(layout: Layout, scales: Scales) -> Float[Array, "b 1"]:
+    """The size of pushes of each body: of its greatest usual command."""
+    bodies = np.array([b for b, _ in axis_indices(layout)], int)
+    size = jnp.zeros(len(layout.bodies)).at[bodies].max(jnp.asarray(scales.axis_command))
+    return jnp.where(size > 0, size, 1.0)[:, None]
 
 
 def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:

@@ -96,7 +96,7 @@ def _directions(scales: Scales, site: int) -> list[list[float]]:
 
 
 def _fraction_of_command(fraction: float):
-    return lambda scales, site: [[fraction * max(float(scales.axis_command[site]), 1e-3)]]
+    return lambda scales, site: [[fraction * float(scales.axis_command[site])]]
 
 
 def _onsets(scales: Scales, site: int) -> list[list[float]]:

@@ -14,7 +14,7 @@ def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     have an arm at rest on a walking base slide in its joints.
     """
     response = step.response()
-    stops = step.own().velocity / jnp.where(jnp.abs(response) > 1e-6, response, jnp.inf)
+    stops = step.own().velocity / jnp.where(response != 0, response, jnp.inf)
     most = on_axes(step.layout, c[0])
     return -jnp.clip(stops, -most, most)
 
@@ -60,9 +60,7 @@ def _small(fraction: float, power: int):
     """A resistance of a fraction of the axis' usual speed, at that speed."""
 
     def starts(scales: Scales, site: int) -> list[list[float]]:
-        usual = max(float(scales.axis_speed[site]), 1e-3)
-        force = max(float(scales.axis_command[site]), 1e-3)
-        return [[fraction * force / usual**power]]
+        return [[fraction * float(scales.axis_command[site]) / float(scales.axis_speed[site]) ** power]]
 
     return starts
 

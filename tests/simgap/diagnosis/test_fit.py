@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from planted import PHI, SPOT, theta
+from planted import PHI, SCALES, SPOT, theta
 from scipy import stats
 from small import KEYS, acting, problem, sessions
 
@@ -47,7 +47,9 @@ def fitted(training: list[Recording], groups: tuple[Group, ...] = ()) -> Model:
 
 def group(key: str, sites: tuple[int, ...]) -> Group:
     e = [effect.key for effect in CATALOGUE].index(key)
-    return Group(tuple(SPOT.index[Slot(e, 0, s)] for s in sites))
+    (effect,) = (effect for effect in CATALOGUE if effect.key == key)
+    size = min(abs(first) for first, *_ in effect.starts(SCALES, sites[0]))
+    return Group(tuple(SPOT.index[Slot(e, 0, s)] for s in sites), size)
 
 
 # Parameters
