@@ -5,6 +5,8 @@ Both servers can start processes, and a browser sends what any web page asks it 
 `Origin` is another page than the server's own.
 """
 
+import base64
+import hmac
 import os
 from urllib.parse import urlsplit
 
@@ -15,37 +17,47 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 HOSTS = "SIMGAP_HOSTS"
 """Environment variable: the names that a server is reached by, separated by commas."""
+LOGIN = "SIMGAP_LOGIN"
+"""Environment variable: `user:password` that MLflow's server asks for, which has no login of its own."""
 
 
 def prefect() -> ASGIApp:
-    """What `prefect server start` serves, guarded."""
+    """What `prefect server start` serves, guarded; it asks for a login by itself, PREFECT_SERVER_API_AUTH_STRING."""
     from prefect.server.api.server import create_app
 
-    return _guarded(create_app(final=True))
+    return _guarded(create_app(final=True), None)
 
 
 def mlflow() -> ASGIApp:
     """What `mlflow server` serves, guarded."""
     from tasks import tracking
 
-    return _guarded(tracking.pages())
+    return _guarded(tracking.pages(), os.environ.get(LOGIN))
 
 
-def _guarded(app: ASGIApp) -> ASGIApp:
-    return TrustedHostMiddleware(_SameOrigin(app), os.environ[HOSTS].split(","), www_redirect=False)
+def _guarded(app: ASGIApp, login: str | None) -> ASGIApp:
+    return TrustedHostMiddleware(_Guard(app, login), os.environ[HOSTS].split(","), www_redirect=False)
 
 
-class _SameOrigin:
-    """Refuses with 403 what a page of another origin asks for, be it a preflight, a plain request or a websocket."""
+class _Guard:
+    """Refuses preflights, plain requests and websockets: with 403 those of other pages, with 401 those without login.
 
-    def __init__(self, app: ASGIApp) -> None:
+    Whether the server is up, `/health` says to anyone.
+    """
+
+    def __init__(self, app: ASGIApp, login: str | None) -> None:
         self._app = app
+        self._expected = b"Basic " + base64.b64encode(login.encode()) if login else None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        app: ASGIApp = self._app
-        if scope["type"] in ("http", "websocket"):
-            headers = Headers(scope=scope)
-            origin = headers.get("origin")
-            if origin is not None and urlsplit(origin).netloc != headers.get("host"):
-                app = PlainTextResponse("Refused: the request comes from another web page.", status_code=403)
+        app = self._app if scope["type"] == "lifespan" else self._refusal(scope) or self._app
         await app(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> PlainTextResponse | None:
+        headers = Headers(scope=scope)
+        origin, given = headers.get("origin"), headers.get("authorization", "").encode()
+        if origin is not None and urlsplit(origin).netloc != headers.get("host"):
+            return PlainTextResponse("Refused: the request comes from another web page.", 403)
+        if self._expected and scope["path"] != "/health" and not hmac.compare_digest(given, self._expected):
+            return PlainTextResponse("A login is needed.", 401, {"WWW-Authenticate": 'Basic realm="simgap"'})
+        return None

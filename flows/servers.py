@@ -52,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     start = commands.add_parser("up")
-    start.add_argument("--host", default=_HERE, help="address that Prefect listens on; others need a login")
+    start.add_argument("--host", default=_HERE, help="address to listen on; any but this machine's own needs a login")
     start.add_argument("--prefect-port", type=int, default=4200)
     start.add_argument("--mlflow-port", type=int, default=5000)
     start.add_argument("--runs", type=int, default=2, help="runs of deployments at a time; others wait")
@@ -85,7 +85,7 @@ def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
         progress.say(f"{server.name:{width}}  {server.address}   ({LOGS / server.name}.log)")
     if login and not known:
         progress.say(
-            f"Prefect asks for the login {login} (shown only now; {pid_file('prefect')} keeps it, for you alone). "
+            f"Both ask for the login {login} (shown only now; {pid_file('prefect')} keeps it, for you alone). "
             "Nothing is encrypted: use a network that you trust."
         )
     progress.say("`make down` stops them.")
@@ -103,9 +103,9 @@ def down() -> None:
 
 
 def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: str | None) -> list[Server]:
-    """In the order in which they need each other. MLflow, which has no login, stays on this machine."""
-    pages = f"http://{_HERE if host == '0.0.0.0' else host}:{prefect_port}"
-    tracking = f"http://{_HERE}:{mlflow_port}"
+    """In the order in which they need each other."""
+    here, names = _HERE if host == "0.0.0.0" else host, _names(host)
+    pages, tracking = f"http://{here}:{prefect_port}", f"http://{here}:{mlflow_port}"
     binaries = Path(sys.executable).parent
     prefect = {
         "PREFECT_HOME": os.environ.get("PREFECT_HOME", os.path.abspath(".prefect")),
@@ -115,15 +115,20 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: s
         "PREFECT_SERVER_UI_API_URL": "/api",  # under whichever of its names the page was opened
         "PREFECT_SERVER_CSRF_PROTECTION_ENABLED": "true",
         "PREFECT_LOGGING_LEVEL": "INFO",
-        guard.HOSTS: ",".join(_names(host)),
+        guard.HOSTS: ",".join(names),
         **({"PREFECT_SERVER_API_AUTH_STRING": login} if login else {}),
     }
-    # Its job workers, seven processes, serve evaluations of language models.
-    mlflow = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false", guard.HOSTS: ",".join(_names(_HERE))}
+    mlflow = {
+        "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",  # seven processes, for evaluations of language models
+        "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:{mlflow_port}" for name in names),
+        "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:{mlflow_port}" for name in names),
+        guard.HOSTS: ",".join(names),
+        **({guard.LOGIN: login} if login else {}),
+    }
     serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
     api = [sys.executable, "-m", "uvicorn", "--factory", "flows.guard:prefect", "--host", host,
            "--port", str(prefect_port), "--log-level", "warning"]  # fmt: skip
-    ui = [str(binaries / "mlflow"), "server", "--app-name", "simgap", "--host", _HERE, "--port", str(mlflow_port),
+    ui = [str(binaries / "mlflow"), "server", "--app-name", "simgap", "--host", host, "--port", str(mlflow_port),
           "--workers", "1", "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
           "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
     return [
@@ -142,8 +147,8 @@ def _loopback(host: str) -> bool:
 
 
 def _names(host: str) -> list[str]:
-    """By what a server that listens on `host` is reached: this machine's own names and addresses."""
-    names = ["localhost", _HERE, host]
+    """By what a server that listens on `host` is reached: this machine's names and addresses, and those in HOSTS."""
+    names = ["localhost", _HERE, host, *filter(None, os.environ.get(guard.HOSTS, "").split(","))]
     if not _loopback(host):
         addresses = [a.address for found in psutil.net_if_addrs().values() for a in found if a.family == socket.AF_INET]
         names += [socket.gethostname(), socket.getfqdn(), *addresses]

@@ -33,6 +33,6 @@ def _wait(
     _connection: Any, _cursor: Any, statement: str, parameters: Any, _context: Any, _many: bool
 ) -> tuple[str, Any]:
     """Every session of MLflow sets 20 s, whatever its address asks for."""
-    if statement.startswith("PRAGMA busy_timeout"):
+    if statement.startswith("PRAGMA busy_timeout ="):
         statement = f"PRAGMA busy_timeout = {PATIENCE_S * 1000:.0f}"
     return statement, parameters
