@@ -35,8 +35,9 @@ for _name, _value in _DEFAULTS.items():
     os.environ.setdefault(_name, _value)
 os.environ[running.OWNER] = str(os.getpid())
 if "PREFECT_API_URL" not in os.environ:
-    if "PREFECT_HOME" not in os.environ and (_server := running.find("prefect")):
-        os.environ["PREFECT_API_URL"] = (
-            f"{_server.address}/api"  # `make up`: a flow starts in a second, and is seen there
-        )
+    if "PREFECT_HOME" not in os.environ:
+        if _server := running.find("prefect"):  # `make up`: a flow starts in a second, and is seen there
+            os.environ |= running.client(_server.address, _server.login)
+        else:  # a server of one's own while the command runs, and for it alone
+            os.environ["PREFECT_SERVER_API_AUTH_STRING"] = os.environ["PREFECT_API_AUTH_STRING"] = running.new_login()
     os.environ.setdefault("PREFECT_HOME", os.path.abspath(".prefect"))

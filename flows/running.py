@@ -2,6 +2,7 @@
 
 import json
 import os
+import secrets
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,16 +10,19 @@ from typing import Any, NamedTuple
 import psutil
 
 LOGS = Path("logs")
+DATABASE = "prefect.db"
+"""Prefect's, in its home."""
 OWNER = "SIMGAP_PID"
 """Environment variable, for what a process starts: its number."""
 _TEMPORARY = "prefect.server.api.server:create_app"
 
 
 class Running(NamedTuple):
-    """A server's process and the address it is reached at."""
+    """A server's process, the address it is reached at, and the login it asks for, if it does."""
 
     process: psutil.Process
     address: str
+    login: str | None
 
 
 def pid_file(name: str) -> Path:
@@ -34,7 +38,17 @@ def find(name: str) -> Running | None:
         same = abs(process.create_time() - known["created"]) < 1 and process.status() != psutil.STATUS_ZOMBIE
     except (OSError, ValueError, KeyError, TypeError, psutil.NoSuchProcess):
         return None
-    return Running(process, known["address"]) if same else None
+    return Running(process, known["address"], known.get("login")) if same else None
+
+
+def new_login() -> str:
+    """A user and a password that nobody guesses, as `user:password`."""
+    return f"simgap:{secrets.token_urlsafe(24)}"
+
+
+def client(address: str, login: str | None) -> dict[str, str]:
+    """What Prefect's clients read from the environment to reach the server at this address."""
+    return {"PREFECT_API_URL": f"{address}/api", **({"PREFECT_API_AUTH_STRING": login} if login else {})}
 
 
 def end_left_over() -> None:

@@ -6,6 +6,8 @@ What is brought up leaves a file `logs/<name>.pid` each, by which alone it is fo
 
 import argparse
 import fcntl
+import ipaddress
+import json
 import os
 import signal
 import socket
@@ -20,15 +22,17 @@ from typing import NamedTuple
 
 import psutil
 
-from flows import running
+from flows import guard, running
 from flows.running import LOGS, pid_file
 from flows.start import guarded
 from simgap.types import SimgapError
-from tasks import files, progress
+from tasks import databases, files, progress
 
 DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
 _TAIL_LINES = 15
+_HERE = "127.0.0.1"
+_LOGINS = ("PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING")
 
 
 class Server(NamedTuple):
@@ -40,6 +44,7 @@ class Server(NamedTuple):
     address: str
     healthy: Callable[[], bool]
     port: int | None = None
+    login: str | None = None
 
 
 def main() -> None:
@@ -47,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     start = commands.add_parser("up")
-    start.add_argument("--host", default="127.0.0.1", help="address to listen on; only this machine is the default")
+    start.add_argument("--host", default=_HERE, help="address to listen on; any but this machine's own needs a login")
     start.add_argument("--prefect-port", type=int, default=4200)
     start.add_argument("--mlflow-port", type=int, default=5000)
     start.add_argument("--runs", type=int, default=2, help="runs of deployments at a time; others wait")
@@ -62,18 +67,27 @@ def main() -> None:
 def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     """Start what is not running, wait until all of it is well, and say where it is."""
     files.make_folder(LOGS)
-    servers = _servers(host, prefect_port, mlflow_port, runs)
+    known = running.find("prefect")
+    login = known.login if known else None if _loopback(host) else running.new_login()
+    servers = _servers(host, prefect_port, mlflow_port, runs, login)
+    databases.private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
         if not DATABASE.exists():
             from tasks import tracking  # seconds of imports, for the first time alone
 
             tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
+        databases.private(DATABASE)
         for server in servers:
             _start(server)
     width = max(len(server.name) for server in servers)
     for server in servers:
         progress.say(f"{server.name:{width}}  {server.address}   ({LOGS / server.name}.log)")
+    if login and not known:
+        progress.say(
+            f"Both ask for the login {login} (shown only now; {pid_file('prefect')} keeps it, for you alone). "
+            "Nothing is encrypted: use a network that you trust."
+        )
     progress.say("`make down` stops them.")
 
 
@@ -88,46 +102,57 @@ def down() -> None:
             progress.say(f"{name}: stopped")
 
 
-def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int) -> list[Server]:
+def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: str | None) -> list[Server]:
     """In the order in which they need each other."""
-    here = "127.0.0.1" if host == "0.0.0.0" else host
+    here, names = _HERE if host == "0.0.0.0" else host, _names(host)
     pages, tracking = f"http://{here}:{prefect_port}", f"http://{here}:{mlflow_port}"
     binaries = Path(sys.executable).parent
     prefect = {
         "PREFECT_HOME": os.environ.get("PREFECT_HOME", os.path.abspath(".prefect")),
-        "PREFECT_API_URL": f"{pages}/api",
+        **running.client(pages, login),
         "PREFECT_SERVER_API_HOST": host,
         "PREFECT_SERVER_API_PORT": str(prefect_port),
-        "PREFECT_SERVER_UI_API_URL": f"{pages}/api",
+        "PREFECT_SERVER_UI_API_URL": "/api",  # under whichever of its names the page was opened
+        "PREFECT_SERVER_CSRF_PROTECTION_ENABLED": "true",
         "PREFECT_LOGGING_LEVEL": "INFO",
+        guard.HOSTS: ",".join(names),
+        **({"PREFECT_SERVER_API_AUTH_STRING": login} if login else {}),
     }
-    # Its job workers, seven processes, serve evaluations of language models.
-    mlflow = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
-    if host != "127.0.0.1":
-        mlflow |= {name: value for name, value in _known_as(mlflow_port).items() if name not in os.environ}
+    mlflow = {
+        "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",  # seven processes, for evaluations of language models
+        "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:{mlflow_port}" for name in names),
+        "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:{mlflow_port}" for name in names),
+        guard.HOSTS: ",".join(names),
+        **({guard.LOGIN: login} if login else {}),
+    }
     serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
-    ui = [str(binaries / "mlflow"), "server", "--host", host, "--port", str(mlflow_port), "--workers", "1",
-          "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
+    api = [sys.executable, "-m", "uvicorn", "--factory", "flows.guard:prefect", "--host", host,
+           "--port", str(prefect_port), "--log-level", "warning"]  # fmt: skip
+    ui = [str(binaries / "mlflow"), "server", "--app-name", "simgap", "--host", host, "--port", str(mlflow_port),
+          "--workers", "1", "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
           "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
     return [
-        Server(
-            "prefect", [str(binaries / "prefect"), "server", "start", "--host", host, "--port", str(prefect_port)],
-            prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port,
-        ),
+        Server("prefect", api, prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port, login),
         Server("mlflow", ui, mlflow, tracking, lambda: _answers(f"{tracking}/health"), mlflow_port),
         Server("deployments", serve, prefect, f"{pages}/deployments",
                lambda: (LOGS / "deployments.ready").exists()),
     ]  # fmt: skip
 
 
-def _known_as(port: int) -> dict[str, str]:
-    """The names of this machine, told to MLflow: it answers to no other, nor to pages that come from elsewhere."""
-    addresses = [a.address for found in psutil.net_if_addrs().values() for a in found if a.family == socket.AF_INET]
-    names = dict.fromkeys(["localhost", socket.gethostname(), socket.getfqdn(), *addresses])
-    return {
-        "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:{port}" for name in names),
-        "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:{port}" for name in names),
-    }
+def _loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _names(host: str) -> list[str]:
+    """By what a server that listens on `host` is reached: this machine's names and addresses, and those in HOSTS."""
+    names = ["localhost", _HERE, host, *filter(None, os.environ.get(guard.HOSTS, "").split(","))]
+    if not _loopback(host):
+        addresses = [a.address for found in psutil.net_if_addrs().values() for a in found if a.family == socket.AF_INET]
+        names += [socket.gethostname(), socket.getfqdn(), *addresses]
+    return list(dict.fromkeys(names))
 
 
 def _start(server: Server) -> None:
@@ -144,13 +169,14 @@ def _start(server: Server) -> None:
             f"`make up {server.name.upper()}_PORT={server.port + 1}`, or end that program."
         )
     (LOGS / f"{server.name}.ready").unlink(missing_ok=True)
+    inherited = {name: value for name, value in os.environ.items() if name not in _LOGINS}
     with (LOGS / f"{server.name}.log").open("ab") as log:
         process = psutil.Popen(
-            server.command, env={**os.environ, **server.environment}, stdin=subprocess.DEVNULL, stdout=log,
+            server.command, env={**inherited, **server.environment}, stdin=subprocess.DEVNULL, stdout=log,
             stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
-    known = {"pid": process.pid, "created": process.create_time(), "address": server.address}
-    files.write_json(pid_file(server.name), known)
+    known = {"pid": process.pid, "created": process.create_time(), "address": server.address, "login": server.login}
+    files.write_bytes(pid_file(server.name), json.dumps(known).encode(), private=True)
     deadline = time.monotonic() + _HEALTHY_S
     while not server.healthy():
         if process.poll() is not None or time.monotonic() > deadline:

@@ -2,6 +2,7 @@
 
 import argparse
 import fcntl
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ import httpx
 
 from flows import running
 from simgap.types import SimgapError
-from tasks import files, progress
+from tasks import databases, files, progress
 from tasks.params import load_params, read_yaml
 
 PARAMS = Path("params.yaml")
@@ -65,6 +66,8 @@ def guarded(work: Callable[[], Any]) -> None:
     progress.quiet_libraries()
     running.end_left_over()
     try:
+        if "PREFECT_API_URL" not in os.environ:  # a flow starts a server, which makes it
+            databases.private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
         work()
     except SimgapError as error:
         progress.say(f"error: {error}")

@@ -37,7 +37,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from simgap.types import Schema as RobotSchema
 from simgap.types import SimgapError
-from tasks import augmented_pyfunc, files, policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, databases, files, policy_pyfunc, pyfunc
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -62,7 +62,6 @@ _HOST, _PID = "simgap.host", "simgap.pid"
 _POINTS = 100  # a curve's, more than a plot shows
 _PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
 _CLOCK_SLACK_S = 60.0
-_PATIENCE_S = 60  # with a database that another process has locked
 # The project itself is left out: it is on no index, and the name may come to be another's there.
 _REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxtyping", "numpy", "scipy", "pandas")]
 
@@ -95,7 +94,7 @@ class _Client:
         # Other processes write too; SQLite would give up after five seconds.
         self._uri = uri
         with _explaining(uri):
-            self._client = MlflowClient(f"{uri}?timeout={_PATIENCE_S}" if _plain_file(uri) else uri)
+            self._client = MlflowClient(f"{uri}?timeout={databases.PATIENCE_S}" if _plain_file(uri) else uri)
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._client, name)
@@ -156,13 +155,25 @@ def make_database(path: Path, artifacts: Path) -> None:
 
     MLflow's migrations, killed midway, leave a database that no start mends.
     """
-    if path.exists():
-        return
-    new = path.with_name(f"{path.name}.new")
-    with _explaining(f"sqlite:///{path}"):
-        new.unlink(missing_ok=True)
-        SqlAlchemyStore(f"sqlite:///{new}", artifacts.as_uri()).engine.dispose()
-        new.replace(path)
+    if not path.exists():
+        new = path.with_name(f"{path.name}.new")
+        with _explaining(f"sqlite:///{path}"):
+            new.unlink(missing_ok=True)
+            databases.private(new)
+            engine = SqlAlchemyStore._get_or_create_engine(f"sqlite:///{new}")
+            try:
+                SqlAlchemyStore(f"sqlite:///{new}", artifacts.as_uri())
+            finally:
+                engine.dispose()  # MLflow keeps it: the next attempt would write to the file that is deleted first
+            new.replace(path)
+    databases.private(path)
+
+
+def pages() -> Any:
+    """MLflow's pages and interface, as an ASGI application."""
+    from mlflow.server.fastapi_app import app  # seconds, and a store in the environment
+
+    return app
 
 
 def _experiment_id(client: Any, name: str, artifacts: str | None) -> str:

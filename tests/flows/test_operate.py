@@ -1,15 +1,22 @@
 """`make up` in a folder of its own: what is started from Prefect's form, watched, cancelled and compared in MLflow."""
 
+import base64
+import http.client
+import http.server
 import json
 import os
 import re
 import shutil
+import socket
+import stat
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +30,7 @@ from mlflow import MlflowClient
 from test_pipeline import TINY
 
 from examples.record import record
+from flows import running
 from tasks import recordings, tracking
 from tasks.params import VirtualParams, load_params
 from tasks.workspace import Workspace
@@ -37,6 +45,7 @@ class Place(NamedTuple):
 
     folder: Path
     ports: tuple[int, int]
+    host: str = "127.0.0.1"
 
     @property
     def prefect(self) -> str:
@@ -50,7 +59,12 @@ class Place(NamedTuple):
     def environment(self) -> dict[str, str]:
         mine = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        return {**mine, "PATH": path, "PYTHONPATH": str(ROOT), "PREFECT_API_URL": f"{self.prefect}/api"}
+        return {**mine, "PATH": path, "PYTHONPATH": str(ROOT), **running.client(self.prefect, self.login)}
+
+    @property
+    def login(self) -> str | None:
+        file = self.folder / "logs" / "prefect.pid"
+        return json.loads(file.read_text())["login"] if file.exists() else None
 
     def run(self, *command: str) -> tuple[int, str]:
         done = subprocess.run(command, cwd=self.folder, env=self.environment, stdout=subprocess.PIPE,
@@ -59,11 +73,16 @@ class Place(NamedTuple):
 
     def up(self) -> tuple[int, str]:
         ports = ("--prefect-port", str(self.ports[0]), "--mlflow-port", str(self.ports[1]))
-        return self.run("python", "-m", "flows.servers", "up", *ports)
+        return self.run("python", "-m", "flows.servers", "up", "--host", self.host, *ports)
 
     def api(self, path: str, body: Any = None) -> Any:
-        data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(f"{self.prefect}/api/{path}", data, {"Content-Type": "application/json"})
+        data, headers = None, {"Content-Type": "application/json"}
+        if self.login:
+            headers["Authorization"] = f"Basic {base64.b64encode(self.login.encode()).decode()}"
+        if body is not None:
+            data, token = json.dumps(body).encode(), self.api("csrf-token?client=test")["token"]
+            headers |= {"Prefect-Csrf-Client": "test", "Prefect-Csrf-Token": token}
+        request = urllib.request.Request(f"{self.prefect}/api/{path}", data, headers)
         with urllib.request.urlopen(request, timeout=30) as reply:
             return json.load(reply)
 
@@ -97,15 +116,14 @@ class Place(NamedTuple):
         return client.search_runs([experiment.experiment_id], f"tags.sweep = '{sweep}'")
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+@contextmanager
+def brought_up(folder: Path, host: str = "127.0.0.1") -> Iterator[Place]:
     """The servers and deployments, up in a folder whose params.yaml is tiny."""
-    folder = tmp_path_factory.mktemp("operate")
     tiny = {**TINY, "train": {**TINY["train"], **ONE}, "policy": {**TINY["policy"], **ONE}}
     params = load_params(ROOT / "params.yaml", tiny).model_dump(mode="json")
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
     (folder / "small.yaml").write_text("train: {sim_model: {training_steps: 50}}\n")
-    place = Place(folder, (free_port(), free_port()))
+    place = Place(folder, (free_port(), free_port()), host)
     status, output = place.up()
     try:
         assert status == 0, output
@@ -115,6 +133,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
             process = psutil.Process(json.loads(file.read_text())["pid"])
             for member in [*process.children(recursive=True), process]:
                 member.kill()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with brought_up(tmp_path_factory.mktemp("operate")) as place:
+        yield place
 
 
 def processes(place: Place) -> list[psutil.Process]:
@@ -134,6 +158,110 @@ def test_it_listens_on_this_machine_alone_and_up_twice_is_up_once(place: Place) 
     assert status == 0
     assert place.prefect in output
     assert {p.pid for p in processes(place)} == before
+
+
+def test_databases_are_for_their_owner_alone(place: Place) -> None:
+    found = [*place.folder.glob("mlflow.db*"), *place.folder.glob(".prefect/prefect.db*")]
+    assert {"mlflow.db", "prefect.db", "prefect.db-wal", "prefect.db-shm"} <= {path.name for path in found}
+    written = [path for path in (*found, *place.folder.glob("logs/*.pid")) if path.suffix != ".lock"]
+    assert {path.name: stat.filemode(path.stat().st_mode) for path in written} == {
+        path.name: "-rw-------" for path in written
+    }
+
+
+FOREIGN = "evil.example"
+"""A name that, for the browser of these tests, leads to this machine."""
+PLAIN = {"Content-Type": "text/plain"}
+PREFLIGHT = {"Access-Control-Request-Method": "POST", "Access-Control-Request-Headers": "content-type"}
+SOCKET = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+          "Sec-WebSocket-Key": "c2ltZ2Fwc2ltZ2Fwc2ltZw=="}  # fmt: skip
+
+
+def asked(address: str, method: str, path: str, headers: dict[str, str]) -> int:
+    """The status of what a server answers."""
+    connection = http.client.HTTPConnection(address.removeprefix("http://"), timeout=30)
+    try:
+        connection.request(method, path, b"{}" if method == "POST" else None, headers)
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+@pytest.mark.parametrize(
+    ("server", "path"),
+    [
+        ("prefect", "/api/flows/filter"),
+        ("mlflow", "/ajax-api/2.0/mlflow/experiments/search"),
+        ("mlflow", "/graphql"),
+    ],
+)
+def test_no_other_page_and_no_other_name_is_answered(place: Place, server: str, path: str) -> None:
+    address: str = getattr(place, server)
+    _, port = host = address.removeprefix("http://").split(":")
+    for own in (address, f"http://localhost:{port}"):
+        here = {"Host": own.removeprefix("http://"), "Origin": own}
+        assert asked(address, "GET", "/", here) == 200
+    for origin in (f"http://{FOREIGN}", f"http://{FOREIGN}:{port}", "null", f"http://{host[0]}:1", f"http://{host[0]}"):
+        foreign = {"Origin": origin}
+        found = [asked(address, "POST", path, foreign | PLAIN), asked(address, "OPTIONS", path, foreign | PREFLIGHT),
+                 asked(address, "GET", "/api/events/out", foreign | SOCKET)]  # fmt: skip
+        assert found == [403, 403, 403], origin
+    for name in (FOREIGN, f"{FOREIGN}:{port}", f"10.{FOREIGN}:{port}", ""):  # MLflow's own patterns admit 10.*
+        foreign = {"Host": name, "Origin": f"http://{name}"}
+        found = [asked(address, "POST", path, foreign | PLAIN), asked(address, "OPTIONS", path, foreign | PREFLIGHT),
+                 asked(address, "GET", "/", {"Host": name})]  # fmt: skip
+        assert found == [400, 400, 400], name
+
+
+ATTACK = """async ([api, command]) => {
+  const statuses = [], headers = {"Content-Type": "application/json"};
+  const call = async (path, body) => {
+    try {
+      const options = body ? {method: "POST", headers, body: JSON.stringify(body)} : {};
+      const reply = await fetch(api + path, options);
+      statuses.push(reply.status);
+      return await reply.json();
+    } catch { return {}; }
+  };
+  const token = await call("/csrf-token?client=attack");
+  Object.assign(headers, {"Prefect-Csrf-Client": "attack", "Prefect-Csrf-Token": token.token || ""});
+  const flow = await call("/flows/", {name: "sweep"});
+  const step = {"prefect.deployments.steps.run_shell_script": {script: command}};
+  const deployment = await call("/deployments/", 
+    {name: "small", flow_id: flow.id, pull_steps: [step], enforce_parameter_schema: false});
+  await call(`/deployments/${deployment.id}/create_flow_run`, {name: "attack", state: {type: "SCHEDULED"}});
+  return statuses;
+}"""
+"""What a page would have the browser do, so that a command of its own is run here."""
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[str]:
+    """The address of an empty page of another server."""
+
+    class Page(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://{FOREIGN}:{server.server_port}"
+        server.shutdown()
+
+
+def test_no_page_of_another_server_runs_a_command(place: Place, browser: Any, elsewhere: str) -> None:
+    """From another address it asks the server's; by DNS rebinding it has the server's port under its own name."""
+    port, page = place.ports[0], browser.context.browser.new_page()
+    for origin, api in ((elsewhere, f"{place.prefect}/api"), (f"http://{FOREIGN}:{port}", "/api")):
+        page.goto(origin)
+        statuses = page.evaluate(ATTACK, [api, f"touch {place.folder / 'attacked'}"])
+        assert all(400 <= status < 500 for status in statuses), (origin, statuses)
+    page.close()
+    assert place.api("deployments/name/sweep/small")["pull_steps"] is None
+    assert place.api("flow_runs/filter", {"flow_runs": {"name": {"any_": ["attack"]}}}) == []
+    assert not (place.folder / "attacked").exists()
 
 
 def test_a_taken_port_is_named(place: Place, tmp_path: Path) -> None:
@@ -211,7 +339,9 @@ def browser() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=[
+            "--no-sandbox", f"--host-resolver-rules=MAP {FOREIGN} 127.0.0.1",
+        ])  # fmt: skip
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.set_default_timeout(60_000)
         page.on("request", lambda request: ASKED.append(request.url))
@@ -392,7 +522,7 @@ def test_no_page_asks_anything_of_another_machine() -> None:
 
 
 def test_down_stops_all_of_it_and_nothing_else(place: Place) -> None:
-    """The last test of the file: nothing is up after it; a run under way is cancelled and told of, not left to be
+    """The last test of this place: nothing is up after it; a run under way is cancelled and told of, not left to be
     killed."""
     start_long(place, "under-way")
     before, mine = processes(place), psutil.Process(os.getpid())
@@ -404,3 +534,39 @@ def test_down_stops_all_of_it_and_nothing_else(place: Place) -> None:
     assert {run.info.status for run in place.runs("under-way")} == {"KILLED"}
     assert not list((place.folder / "logs").glob("*.pid"))
     assert place.run("python", "-m", "flows.servers", "down") == (0, "")
+
+
+def test_on_other_addresses_a_login_is_asked_for(browser: Any, tmp_path: Path) -> None:
+    with brought_up(tmp_path, "0.0.0.0") as place:
+        assert place.login is not None
+        addresses = {a.address for found in psutil.net_if_addrs().values() for a in found if a.family == socket.AF_INET}
+        others = addresses - {"127.0.0.1"}
+        for address in (place.prefect, *(f"http://{other}:{place.ports[0]}" for other in others)):
+            assert asked(address, "POST", "/api/flows/filter", PLAIN) in (401, 403)
+            assert asked(address, "GET", "/api/csrf-token?client=test", {}) == 401
+            assert asked(address, "GET", "/api/flows/count", {"Host": FOREIGN}) == 400
+        assert asked(place.mlflow, "GET", "/", {}) == 401
+        assert asked(place.mlflow, "GET", "/", {"Authorization": "Basic c2ltZ2FwOmd1ZXNz"}) == 401
+        assert MlflowClient(place.mlflow.replace("//", f"//{place.login}@")).search_experiments()
+        status, output = place.up()
+        assert (status, place.login in output) == (0, False), "it is shown once"
+        shown = [path for path in (tmp_path / "logs").iterdir() if place.login in path.read_text()]
+        assert {path.name: path.stat().st_mode & 0o777 for path in shown} == {"prefect.pid": 0o600}
+
+        status, output = place.run("prefect", "deployment", "run", "diagnose/any", "--param", "recordings=data/none")
+        assert status == 0, output
+        flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
+        state = place.until(flow_run, {"Completed", "Failed", "Crashed"}, 200)
+        assert "data/none" in state["message"], "the worker has the login too"
+
+        user, password = place.login.split(":")
+        page = browser.context.browser.new_page(http_credentials={"username": user, "password": password})
+        page.goto(place.mlflow)
+        page.get_by_text("Experiments").first.wait_for()
+        page.goto(f"{place.prefect}/deployments")
+        page.locator("input[type=password]").fill(place.login)
+        page.get_by_role("button", name="Login").click()
+        page.get_by_text("diagnose").first.wait_for()
+        page.close()
+        assert place.run("python", "-m", "flows.servers", "down")[0] == 0
+        assert place.login is None, "it is of no use any more"

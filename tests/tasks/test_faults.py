@@ -11,8 +11,9 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,30 +22,41 @@ import numpy as np
 import psutil
 import pytest
 from conftest import free_port
+from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from prefect import flow
 from prefect.settings import PREFECT_API_URL, temporary_settings
+from sqlalchemy import text
 
 from flows import running
 from flows.start import alone, guarded
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks import artifacts, files, tracking
+from tasks import artifacts, databases, files, tracking
 
 ROOT = Path(__file__).parents[2]
 ARRAYS = {"a": np.arange(1000.0)}
+
+
+@contextmanager
+def full_disk(limit: int) -> Iterator[None]:
+    """No file of this process may grow beyond so many bytes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_full_disk_is_told_of_and_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
     files.save_arrays(path, ARRAYS)
     before = path.read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))  # no file may grow beyond it, as on a full disk
-    try:
-        with pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Make room"):
-            files.save_arrays(path, {"a": np.arange(2000.0)})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with (
+        full_disk(2000),
+        pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Make room"),
+    ):
+        files.save_arrays(path, {"a": np.arange(2000.0)})
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["model.npz"]
 
@@ -135,8 +147,8 @@ def root(made: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def logged(store: tracking.Store) -> str:
-    with tracking.grid_run(store, "grid", {"a": 1}, {}) as run:
+def logged(store: tracking.Store, params: dict[str, Any] | None = None) -> str:
+    with tracking.grid_run(store, "grid", params or {"a": 1}, {}) as run:
         run.scores({"nll": 1.0})
     return run.run_id
 
@@ -153,13 +165,62 @@ def test_a_locked_store_is_waited_for(root: Path) -> None:
     assert store.client.get_run(run_id).data.metrics == {"nll": 1.0}
 
 
-def test_a_store_that_stays_locked_is_told_of(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
+LOCKING = """
+import sqlite3, sys
+sqlite3.connect(sys.argv[1]).execute("BEGIN EXCLUSIVE")
+print("locked", flush=True)
+input()
+"""
+
+
+@contextmanager
+def locked(database: Path) -> Iterator[None]:
+    """Another process holds it."""
+    holder = subprocess.Popen([sys.executable, "-c", LOCKING, database], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"locked\n"
+        yield
+    finally:
+        holder.kill()
+        holder.communicate()
+
+
+def test_a_store_that_stays_locked_is_an_error_when_patience_ends(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(databases, "PATIENCE_S", 1.0)
     store = tracking.open_store(root, "grid")
-    with sqlite3.connect(root / "mlflow.db") as holder:
-        holder.execute("BEGIN EXCLUSIVE")
+    with locked(root / "mlflow.db"):
+        start = time.monotonic()
         with pytest.raises(tracking.StoreError, match=r"mlflow\.db refused .*locked.* start again"):
             logged(store)
+    assert 1.0 <= time.monotonic() - start < 10.0  # MLflow's own patience is 20 s
+
+
+def test_patience_is_what_the_docs_say(root: Path) -> None:
+    """In a session of MLflow, which sets another one."""
+    assert "database locked | waited for, a minute" in (ROOT / "docs" / "operating.md").read_text()
+    store = SqlAlchemyStore(f"sqlite:///{root / 'mlflow.db'}", str(root))
+    with store.ManagedSessionMaker() as session:
+        assert session.execute(text("PRAGMA busy_timeout")).scalar() == 60_000
+
+
+def test_a_process_goes_on_when_a_full_disk_has_room_again(tmp_path: Path) -> None:
+    """Full while the store was made, and full while a run was logged."""
+    with full_disk(300_000), pytest.raises(tracking.StoreError, match=r"mlflow\.db refused .* has room"):
+        tracking.open_store(tmp_path, "grid")
+    assert not (tmp_path / "mlflow.db").exists()
+    store = tracking.open_store(tmp_path, "grid")
+    with full_disk((tmp_path / "mlflow.db").stat().st_size), pytest.raises(tracking.StoreError, match="has room"):
+        logged(store, {f"key_{i}": "x" * 1000 for i in range(1000)})
+    run_id = logged(store)
+    assert store.client.get_run(run_id).data.metrics == {"nll": 1.0}
+
+
+def test_a_store_is_for_its_owner_alone(root: Path) -> None:
+    """Also one that was not."""
+    (root / "mlflow.db").chmod(0o644)
+    tracking.open_store(root, "grid")
+    assert (root / "mlflow.db").stat().st_mode & 0o777 == 0o600
 
 
 def test_a_read_only_store_is_told_of(root: Path) -> None:
@@ -207,6 +268,36 @@ input()
 """
 
 
+OWN = """
+import os, urllib.error, urllib.request
+from pathlib import Path
+from flows.start import guarded
+from prefect import flow, get_client
+
+def work():
+    address = get_client(sync_client=True).api_url
+    for path, body in (("csrf-token?client=me", None), ("flows/", b"{}")):
+        try:
+            urllib.request.urlopen(f"{address}{path}", body)
+        except urllib.error.HTTPError as error:
+            print("refused", error.code)
+    print({path.name: oct(path.stat().st_mode & 0o777) for path in Path(".prefect").glob("prefect.db*")})
+
+guarded(flow(work, name="any"))
+"""
+
+
+def test_a_prefect_server_that_a_command_starts_is_for_it_alone(tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
+    done = subprocess.run(
+        [sys.executable, "-c", OWN], env={**environment, "PYTHONPATH": str(ROOT)}, cwd=tmp_path, timeout=300,
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.count("refused 401") == 2, done
+    for name in ("prefect.db", "prefect.db-wal", "prefect.db-shm"):
+        assert f"'{name}': '0o600'" in done.stdout
+
+
 def test_a_prefect_server_left_by_a_killed_command_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As soon as its command is gone, and of this folder alone."""
     command = subprocess.Popen(
@@ -233,7 +324,7 @@ def test_a_prefect_server_left_by_a_killed_command_is_ended(tmp_path: Path, monk
 
 
 def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(databases, "PATIENCE_S", 0.2)
     store = tracking.open_store(root, "grid")
 
     def work() -> None:
