@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from simgap import fsvgd, identify, priors
 from simgap.types import ConfigError
+from tasks import names
+from tasks.names import Name
 from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
 
 SWEEPS = Path("sweeps")
@@ -54,7 +56,7 @@ class _Form(BaseModel):
 class Recordings(_Form):
     """The recordings to learn from."""
 
-    source: str = Field(description="A block of params.yaml's recordings, such as virtual or spot.")
+    source: Name = Field(description="A block of params.yaml's recordings, such as virtual or spot.")
     folder: str = Field("", description="Folder in the project, in place of the block's; empty: the block's.")
     training_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
     test_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
@@ -148,7 +150,9 @@ def label(chosen: Mapping[str, Any], hyperparameters: BaseModel, method: str) ->
 
 
 def _short(value: Any) -> str:
-    return "x".join(map(str, value)) if isinstance(value, list | tuple) else f"{value:g}"
+    if isinstance(value, list | tuple):
+        return "x".join(map(str, value))
+    return f"{value:g}" if float(f"{value:g}") == value else repr(value)  # two values never share a label
 
 
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
@@ -192,14 +196,9 @@ def check(form: type[BaseModel], values: Any) -> Any:
 
 def folder(name: str) -> Path:
     """The folder of a run under `sweeps/`; ConfigError where the name would lead out of it, or hide."""
-    # What MLflow admits as an alias.
-    if not re.fullmatch(r"(?!latest$|newest$|v\d+$)[A-Za-z0-9][A-Za-z0-9_-]{0,99}", name, re.IGNORECASE):
-        raise ConfigError(
-            f"The run's name is {name!r}; it becomes a folder in {SWEEPS}/ and a model's alias, must begin with a "
-            "letter or digit, and hold letters, digits, dashes and underscores only, 100 at most; latest, newest and "
-            "v1, v2, ... are taken. Give another name."
-        )
-    return SWEEPS / name
+    if re.fullmatch(r"latest|newest|v\d+", name, re.IGNORECASE):
+        raise ConfigError(f"The run's name is {name!r}, an alias that MLflow uses itself. Give another name.")
+    return SWEEPS / names.check(name, "the run's name")
 
 
 def inside(path: Path | str) -> Path:

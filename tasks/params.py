@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from simgap import fsvgd, identify, priors
 from simgap.policies import environment, follow, learn, references, sac
 from simgap.types import ConfigError
+from tasks.names import Name
 
 ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
 NoiseName = Literal["gaussian", "student_t"]
@@ -123,7 +124,7 @@ class DiagnoseParams(_Block):
 class Params(_Block):
     """The whole of params.yaml."""
 
-    recordings: dict[str, VirtualParams | FolderParams] = Field(min_length=1)
+    recordings: dict[Name, VirtualParams | FolderParams] = Field(min_length=1)
     transitions: TransitionsParams
     train: TrainParams
     score: ScoreParams
