@@ -649,8 +649,8 @@ def remove_file(path: Path, within: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise SimgapError(
-            f"{path}: cannot be deleted ({error.strerror or error}). Fix the permissions of the folder that it lies in, "
-            "and start again."
+            f"{path}: cannot be deleted ({error.strerror or error}). Fix the permissions of the folder that it lies "
+            "in, and start again."
         ) from None
 
 

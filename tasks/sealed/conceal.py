@@ -58,7 +58,9 @@ def write(
             made = _real(draw, case_draw, real())
         case name:
             made = _suite(params, name, draw, case_draw)
-    files.remove_file(workspace.manifest, workspace.root)  # first and last: without it there is no suite, whole or in part
+    files.remove_file(
+        workspace.manifest, workspace.root
+    )  # first and last: without it there is no suite, whole or in part
     for folder in (workspace.data, workspace.keys):
         files.remove_folder(folder, workspace.root)
     names = suite.names(len(made), name_draw)

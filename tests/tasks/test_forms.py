@@ -19,7 +19,7 @@ PARAMS = ROOT / "params.yaml"
     "name", ["", ".", "..", "../x", "a/b", "/tmp", ".hidden", "a\0b", "a b", "x" * 101, "-rf", "a.b", "\u212a"]
 )
 def test_a_name_that_is_no_folder_of_its_own_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match="the run's name is .* becomes a file or folder"):
+    with pytest.raises(ConfigError, match=r"the run's name is .* becomes a file or folder"):
         forms.folder(name)
 
 

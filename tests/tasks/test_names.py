@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 from test_params import ROOT
@@ -38,6 +38,7 @@ def test_what_could_leave_a_folder_or_hide_in_it_is_no_name(text: str) -> None:
     assert not admitted(text)
 
 
+@settings(deadline=None)
 @given(st.text(st.characters(), max_size=120) | st.text("aZ09_-./\\", max_size=120))
 def test_a_name_is_one_visible_folder_below_any_other(text: str) -> None:
     if admitted(text):
@@ -56,11 +57,13 @@ def names_admit() -> str:
     return "".join(chr(c) for c in range(128) if chr(c).isalnum()) + "_-"
 
 
+@settings(deadline=None)
 @given(st.text(names_admit(), min_size=1, max_size=100).filter(lambda text: text[0] not in "_-"))
 def test_every_such_text_is_a_name(text: str) -> None:
     assert admitted(text)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30) | st.sampled_from(HOSTILE))
 def test_every_door_admits_the_same_names(text: str) -> None:
     """The file, the form, the command line, the sealed suites: all by one type."""
