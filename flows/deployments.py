@@ -19,6 +19,7 @@ from tasks import artifacts, diagnose, files, forms, score, sweep, tracking
 from tasks import track as track_tasks
 from tasks.forms import Models, Noises, Recordings, SampleSizes, Seeds
 from tasks.params import NoiseName, Params, load_params
+from tasks.ranges import RANGES, Seed
 from tasks.workspace import Workspace
 
 Overrides = Annotated[dict[str, Any], Field(default_factory=dict)]
@@ -47,7 +48,7 @@ def reproduce(
     root, grid = _root(), {"models": models, "noises": noises, "sample_sizes": sample_sizes, "seeds": seeds}
     policies = {"models": models, "noise": noises[-1], "sample_sizes": sample_sizes, "seeds": seeds}
     params = _params(recordings, {"train": grid, "policy": policies}, overrides)
-    with alone(root):
+    with alone(root, recordings.source):
         failure = None
         try:
             reproduce_flow.run.fn(recordings.source, params, root)
@@ -80,8 +81,8 @@ def track(
     models: Models,
     sample_sizes: SampleSizes,
     seeds: Seeds,
-    environment_steps: Annotated[int, Field(ge=1, le=1_000_000_000)],
-    learning_rate: Annotated[float, Field(gt=0, le=1)],
+    environment_steps: Annotated[int, Field(**RANGES["environment_steps"])],
+    learning_rate: Annotated[float, Field(**RANGES["learning_rate_policy"])],
     overrides: Overrides,
 ) -> None:
     """Learn models, in each a policy, and run the policies on the virtual Spot along an ellipse and a helix.
@@ -101,7 +102,7 @@ def track(
     rates = {f"learning_rate_{part}": learning_rate for part in ("alpha", "policy", "q")}
     learning = {**grid, "noise": noise, "learning": {"environment_steps": environment_steps}, "sac": rates}
     params = _params(recordings, {"train": {**grid, "noises": [noise]}, "policy": learning}, overrides)
-    with alone(root):
+    with alone(root, source):
         prepare(source, params, root)
         train.run(source, params, root)
         policy_flow.run(source, params, root)
@@ -121,7 +122,7 @@ def diagnose_recordings(
     simulator: str = "spot",
     heldout: str = "",
     baseline: str = "",
-    seed: Annotated[int, Field(ge=0)] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Say what a simulator leaves out of recordings.
 
@@ -134,15 +135,14 @@ def diagnose_recordings(
     """
     root = _root()
     before, judges = (forms.inside(path) if path else None for path in (baseline, heldout))
-    with alone(root):
-        run_id = diagnose_flow.diagnose_folder.fn(forms.inside(recordings), simulator, before, judges, root, seed)
-        store = provenance.store(diagnose_flow.EXPERIMENT)
-        statement = files.read_json(root / diagnose.STATEMENT)["statement"]
-        same = f"params.recordings = '{recordings}'"
-        places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE),
-                  "diagnoses of these recordings": tracking.compare(store, root.name, same, tracking.DIAGNOSES),
-                  }  # fmt: skip
-        artifacts.links("diagnosis-links", places, statement)
+    run_id = diagnose_flow.diagnose_folder.fn(forms.inside(recordings), simulator, before, judges, root, seed)
+    store = provenance.store(diagnose_flow.EXPERIMENT)
+    statement = files.read_json(root / diagnose.STATEMENT)["statement"]
+    same = f"params.recordings = '{recordings}'"
+    places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE),
+              "diagnoses of these recordings": tracking.compare(store, root.name, same, tracking.DIAGNOSES),
+              }  # fmt: skip
+    artifacts.links("diagnosis-links", places, statement)
 
 
 def _root() -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 from prefect import flow
 
 from flows import provenance
-from flows.start import main
+from flows.start import alone, main
 from simgap.simulators.spot import Spot
 from simgap.types import StepModel
 from tasks import diagnose, files, progress, simulators, tracking
@@ -36,8 +36,9 @@ def diagnose_folder(
     Returns the run's id in MLflow.
     """
     folders = Folders(recordings, heldout, baseline)
-    label = recordings.resolve().name
-    return _diagnose(label, simulator, simulators.load(simulator), folders, out, seed, provenance.origin())
+    label, used = recordings.resolve().name, simulators.load(simulator)
+    with alone(out):
+        return _diagnose(label, simulator, used, folders, out, seed, provenance.origin())
 
 
 def _diagnose(
@@ -53,7 +54,6 @@ def _diagnose(
     counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
     progress.say(f"diagnosis of {name} on {label}: {counts} sessions")
     files.make_folder(out)  # before the work, not after it
-    files.remove_unfinished(out)
     store = provenance.store(EXPERIMENT)
     with tracking.diagnosis_run(store, f"{label}-{name}", tags) as tracked:
         diagnose.log_recordings(tracked, name, folders, sessions, seed)

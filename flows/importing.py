@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from flows.start import alone
 from simgap.types import RecordingError
 from tasks import files, importing, progress, simulators
 
@@ -11,16 +12,15 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
     schema = simulators.load(simulator).schema
     mapping = importing.read_mapping(mapping_file, schema)
     paths = importing.sources(source)
-    files.make_folder(out)
-    files.remove_unfinished(out)
     rows: dict[str, int] = {}
     errors: list[RecordingError] = []
-    for path in paths:
-        name = path.relative_to(source).with_suffix("").as_posix() if path != source else path.stem
-        try:
-            rows |= importing.import_session(path, name, mapping, schema, out)
-        except RecordingError as error:
-            errors.append(error)
+    with alone(out):
+        for path in paths:
+            name = path.relative_to(source).with_suffix("").as_posix() if path != source else path.stem
+            try:
+                rows |= importing.import_session(path, name, mapping, schema, out)
+            except RecordingError as error:
+                errors.append(error)
     for error in errors:
         progress.say(f"left out: {error}")
     if not rows:

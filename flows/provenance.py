@@ -4,12 +4,13 @@ import os
 import subprocess
 from pathlib import Path
 
-import yaml
 from prefect.runtime import flow_run
 
 from flows import running
+from simgap.types import ConfigError
 from tasks import tracking
 from tasks.workspace import Workspace
+from tasks.yaml_files import read_yaml
 
 EXPERIMENT = "model-validation"
 
@@ -50,10 +51,16 @@ def _git_commit() -> str:
 
 
 def _dvc_hash(source: str, used: Path) -> str:
-    """DVC's hash of a stage's output, where the last `dvc repro` recorded one."""
-    for lock in (Path("dvc.lock"), Path(source, "dvc.lock")):
-        stages = (yaml.safe_load(lock.read_text()) or {}).get("stages", {}) if lock.exists() else {}
-        for out in stages.get(used.name, {}).get("outs", []):
-            if Path(out["path"]) == used:
-                return out["md5"]
+    """DVC's hash of a stage's output, where the last `dvc repro` recorded one; ConfigError for a damaged dvc.lock."""
+    for lock in (path for path in (Path("dvc.lock"), Path(source, "dvc.lock")) if path.exists()):
+        known = read_yaml(lock)
+        try:
+            for out in known["stages"].get(used.name, {}).get("outs", []):
+                if Path(out["path"]) == used:
+                    return out["md5"]
+        except (AttributeError, KeyError, TypeError):
+            raise ConfigError(
+                f"{lock}: is no lock file of DVC. Restore it, with `git checkout -- {lock}`, or delete it and run "
+                "`dvc repro`."
+            ) from None
     return ""

@@ -14,7 +14,7 @@ from tasks.workspace import Workspace
 def run(source: str, params: Params, root: Path) -> None:
     """Write the training and test sessions of a source in the documented format."""
     workspace, block = Workspace(root, source), params.source(source)
-    files.remove_folder(workspace.recordings)
+    files.remove_folder(workspace.recordings, root)
     if isinstance(block, VirtualParams):
         rows = recordings.record_virtual(workspace, block)
     else:

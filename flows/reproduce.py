@@ -60,7 +60,7 @@ def _main() -> None:
         if arguments.recordings:
             overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
         params = load_params(PARAMS, *overrides)
-        with alone(arguments.workspace):
+        with alone(arguments.workspace, arguments.source):
             run(arguments.source, params, arguments.workspace)
 
     guarded(work)

@@ -15,7 +15,8 @@ from flows import deployments, sweep
 from flows.running import LOGS
 from flows.start import PARAMS, guarded
 from tasks import files, forms
-from tasks.params import Params, load_params, read_yaml
+from tasks.params import Params, load_params
+from tasks.yaml_files import read_yaml
 
 READY = LOGS / "deployments.ready"
 """There while the deployments are served."""

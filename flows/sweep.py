@@ -47,7 +47,7 @@ def run(
     params = load_params(PARAMS, *base)
     forms.check_source(params, recordings.source)
     cells = sweep.cells(root, recordings.source, hyperparameters, lambda more: load_params(PARAMS, *base, more))
-    with alone(root):
+    with alone(root, recordings.source):
         files.write_json(root / "sweep.json", {"recordings": recordings.model_dump(), **grid,
                                                "hyperparameters": hyperparameters.model_dump()})  # fmt: skip
         prepare(recordings.source, params, root)

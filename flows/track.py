@@ -24,8 +24,8 @@ def run(source: str, params: Params, root: Path) -> list[track.Row]:
     Returns a row for every policy and shape.
     """
     workspace, cells = Workspace(root, source), policy.grid(params.policy)
-    files.remove_folder(workspace.tracks)
-    files.remove_folder(workspace.tracking)
+    files.remove_folder(workspace.tracks, root)
+    files.remove_folder(workspace.tracking, root)
     store = provenance.store(policy_flow.EXPERIMENT)
     found = [cell for cell in cells if workspace.policy_record(cell).exists()]
     for cell in (cell for cell in cells if cell not in found):

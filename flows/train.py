@@ -10,7 +10,7 @@ from flows import provenance
 from flows.fan_out import Place, fan_out
 from flows.start import main
 from simgap.types import SimgapError
-from tasks import diagnosed, fingerprint, progress, tracking, train
+from tasks import diagnosed, files, fingerprint, progress, tracking, train
 from tasks.params import Params
 from tasks.workspace import Workspace
 
@@ -59,7 +59,7 @@ def _diagnose(places: list[Place], params: Params, codes: fingerprint.Codes) -> 
         state = diagnosed.find(workspace, share, *common, time.perf_counter, return_state=True)
         if not state.is_completed():
             for place in (p for p in places if (p[0], p[1].share) == (workspace, share)):
-                workspace.record(place[1]).unlink(missing_ok=True)
+                files.remove_file(workspace.record(place[1]), workspace.root)
                 failed[place] = str(state.message)
     return failed
 

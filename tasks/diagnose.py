@@ -84,7 +84,7 @@ def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
     The statement goes first and comes last: where it is, all else is of the same diagnosis.
     """
     for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
-        (folder / name).unlink(missing_ok=True)
+        files.remove_file(folder / name, folder)
     constants = found.model._asdict()
     scales = files.scale_arrays(constants.pop("scales"))
     files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)

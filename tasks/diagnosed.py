@@ -81,7 +81,7 @@ def find(
         say("diagnosed before")
         return
     # Should this fail, what was found by other code must not pass for its result.
-    record.unlink(missing_ok=True)
+    files.remove_file(record, workspace.root)
     start, spot = clock(), Spot(time_step=time_step)
     found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
     simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)

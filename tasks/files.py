@@ -617,16 +617,50 @@ def remove_unfinished(folder: Path) -> None:
     """Delete what processes of this machine that are gone were writing in a folder when they were killed."""
     for path in list(folder.rglob(f".{_OWNER}-*.tmp")):
         if not psutil.pid_exists(int(path.name.split("-")[1])):
-            if path.is_dir():
-                remove_folder(path)
-            else:
-                path.unlink(missing_ok=True)
+            (remove_folder if path.is_dir() else remove_file)(path, folder)
 
 
-def remove_folder(folder: Path) -> None:
-    """Delete a folder with all that is in it, if it is there."""
-    if folder.exists():
-        shutil.rmtree(folder)
+def remove_folder(folder: Path, within: Path) -> None:
+    """Delete a folder with all that is in it, if it is there; of links in it, the links alone.
+
+    Raises SimgapError, and deletes nothing, where it does not lie in the folder `within` once links are followed; and
+    where a part of it cannot be deleted: the message names the part and why.
+    """
+    if not os.path.lexists(folder):
+        return
+    _refuse_outside(folder.resolve(), folder, within)
+    failed: list[tuple[str, BaseException]] = []
+    shutil.rmtree(folder, onerror=lambda _, path, error: failed.append((path, error[1])))
+    if failed:
+        (path, error), more = failed[0], len(failed) - 1
+        raise SimgapError(
+            f"{folder}: {path} cannot be deleted ({getattr(error, 'strerror', None) or error})"
+            f"{f', nor {more} others' if more else ''}. Fix the permissions of the folder that it lies in, or end the "
+            "program that uses it, and start again."
+        )
+
+
+def remove_file(path: Path, within: Path) -> None:
+    """Delete a file, if it is there; of a link, the link alone. SimgapError as `remove_folder` has it."""
+    if not os.path.lexists(path):
+        return
+    _refuse_outside(path.parent.resolve() / path.name, path, within)
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise SimgapError(
+            f"{path}: cannot be deleted ({error.strerror or error}). Fix the permissions of the folder that it lies "
+            "in, and start again."
+        ) from None
+
+
+def _refuse_outside(place: Path, path: Path, within: Path) -> None:
+    """SimgapError unless `place`, where `path` leads, lies below the folder `within`."""
+    if within.resolve() not in place.parents:
+        raise SimgapError(
+            f"{path}: leads to {place}, which does not lie in {within.resolve()}. Only what lies in there is deleted; "
+            "nothing was. Replace the link by a folder, or give another name."
+        )
 
 
 def _missing(path: Path) -> str:
@@ -645,8 +679,8 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
             os.replace(folder, old)
         os.replace(new, folder)
     finally:
-        remove_folder(new)
-        remove_folder(old)
+        remove_folder(new, folder.parent)
+        remove_folder(old, folder.parent)
 
 
 def _beside(path: Path) -> Path:

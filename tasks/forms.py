@@ -14,51 +14,34 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from simgap import fsvgd, identify, priors
 from simgap.types import ConfigError
+from tasks import names
+from tasks.names import Name
 from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
+from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, SampleSize, Seed, bounded, explained
 
 SWEEPS = Path("sweeps")
 """Where whatever is not `dvc repro` writes; git and DVC leave it alone."""
 
 Models = Annotated[list[ModelName], Field(min_length=1)]
 Noises = Annotated[list[NoiseName], Field(min_length=1)]
-SampleSizes = Annotated[list[Annotated[int, Field(ge=20, le=1_000_000)]], Field(min_length=1)]
-Seeds = Annotated[list[Annotated[int, Field(ge=0, le=2**31 - 1)]], Field(min_length=1)]
-
-_POSITIVE_COUNT = {"ge": 1, "le": 10_000_000}
-_RANGES: Mapping[str, dict[str, Any]] = {
-    "particles": {"ge": 1, "le": 100, "description": "L, networks of an ensemble."},
-    "batch_size": {"ge": 1, "le": 4096},
-    "epochs": {"ge": 1, "le": 10_000, "description": "Of N steps each."},
-    "max_training_steps": _POSITIVE_COUNT,
-    "training_steps": _POSITIVE_COUNT,
-    "learning_rate": {"gt": 0, "le": 1},
-    "weight_decay": {"ge": 0, "le": 1},
-    "hidden_layer_sizes": {"description": "Units of every layer, such as [64, 64]."},
-    "likelihood_exponent": {"gt": 0, "le": 10},
-    "bandwidth_svgd": {"gt": 0, "le": 1000},
-    "validation_share": {"gt": 0, "lt": 1, "description": "Of the N, for early stopping."},
-    "measurement_sets": {"ge": 1, "le": 100_000},
-    "evaluate_every": {**_POSITIVE_COUNT, "description": "Steps between validations."},
-    "patience": {**_POSITIVE_COUNT, "description": "Steps without a better validation after which training ends."},
-    "lengthscale": {"gt": 0, "le": 1000, "description": "Of the Gaussian process, on normalised inputs."},
-    "outputscale": {"gt": 0, "le": 1000, "description": "Of the Gaussian process, on normalised outputs."},
-    "measurement_points": {"ge": 1, "le": 4096, "description": "Of a set, besides the batch."},
-    "function_samples": {"ge": 2, "le": 100_000, "description": "Simulators drawn for the prior's moments."},
-}
+SampleSizes = Annotated[list[SampleSize], Field(min_length=1)]
+Seeds = Annotated[list[Seed], Field(min_length=1)]
 
 
 class _Form(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class Recordings(_Form):
     """The recordings to learn from."""
 
-    source: str = Field(description="A block of params.yaml's recordings, such as virtual or spot.")
+    source: Name = Field(description="A block of params.yaml's recordings, such as virtual or spot.")
     folder: str = Field("", description="Folder in the project, in place of the block's; empty: the block's.")
-    training_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
-    test_sessions: int = Field(0, ge=0, le=1000, description="Of the virtual robot; 0: as in params.yaml.")
-    session_s: float = Field(0, ge=0, le=3600, title="Session length", description="Of each [s]; 0: as in params.yaml.")
+    training_sessions: int = Field(0, ge=0, le=MOST_SESSIONS, description="Of the virtual robot; 0: as in params.yaml.")
+    test_sessions: int = Field(0, ge=0, le=MOST_SESSIONS, description="Of the virtual robot; 0: as in params.yaml.")
+    session_s: float = Field(
+        0, ge=0, le=LONGEST_SESSION_S, title="Session length", description="Of each [s]; 0: as in params.yaml."
+    )
 
     def overrides(self, params: Params) -> dict[str, Any]:
         """What it changes in params.yaml; a block has fields for the virtual robot or a folder, not both."""
@@ -75,10 +58,9 @@ class Recordings(_Form):
 def _values(config: type, what: str) -> Any:
     """A form with a list of values to try for every field of a configuration."""
     fields: dict[str, Any] = {
-        f.name: (list[Annotated[f.type, Field(**_RANGES[f.name])]],  # type: ignore[name-defined]
-                 Field(default_factory=list, description=_RANGES[f.name].get("description")))
+        f.name: (list[bounded(f)], Field(default_factory=list, description=RANGES[f.name].get("description")))
         for f in dataclasses.fields(config)
-    }  # fmt: skip
+    }
     return create_model(what, __base__=_Form, __doc__=f"Values to try of train.{what}; a list left empty takes "
                         "params.yaml's.", **fields)  # fmt: skip
 
@@ -148,7 +130,9 @@ def label(chosen: Mapping[str, Any], hyperparameters: BaseModel, method: str) ->
 
 
 def _short(value: Any) -> str:
-    return "x".join(map(str, value)) if isinstance(value, list | tuple) else f"{value:g}"
+    if isinstance(value, list | tuple):
+        return "x".join(map(str, value))
+    return f"{value:g}" if float(f"{value:g}") == value else repr(value)  # two values never share a label
 
 
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,20 +170,14 @@ def check(form: type[BaseModel], values: Any) -> Any:
     try:
         return form.model_validate(values)
     except ValidationError as error:
-        lines = [f"  {'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(f"{len(lines)} values are wrong:\n" + "\n".join(lines)) from None
+        raise ConfigError(explained(error)) from None
 
 
 def folder(name: str) -> Path:
     """The folder of a run under `sweeps/`; ConfigError where the name would lead out of it, or hide."""
-    # What MLflow admits as an alias.
-    if not re.fullmatch(r"(?!latest$|newest$|v\d+$)[A-Za-z0-9][A-Za-z0-9_-]{0,99}", name, re.IGNORECASE):
-        raise ConfigError(
-            f"The run's name is {name!r}; it becomes a folder in {SWEEPS}/ and a model's alias, must begin with a "
-            "letter or digit, and hold letters, digits, dashes and underscores only, 100 at most; latest, newest and "
-            "v1, v2, ... are taken. Give another name."
-        )
-    return SWEEPS / name
+    if re.fullmatch(r"latest|newest|v\d+", name, re.IGNORECASE):
+        raise ConfigError(f"The run's name is {name!r}, an alias that MLflow uses itself. Give another name.")
+    return SWEEPS / names.check(name, "the run's name")
 
 
 def inside(path: Path | str) -> Path:

@@ -13,7 +13,7 @@ from simgap.resample import Stream
 from simgap.types import ConfigError, RecordingError, Schema
 from tasks import bags, files
 from tasks.forms import check
-from tasks.params import read_yaml
+from tasks.yaml_files import read_yaml
 
 TABLES = (".csv", ".parquet")
 

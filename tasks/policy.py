@@ -55,7 +55,7 @@ def learn_policy(
         reused = finished(workspace.policy(cell), workspace.policy_record(cell), mark)
         if not reused:
             # Should this fail, the policy of other parameters must not pass for its result.
-            workspace.policy_record(cell).unlink(missing_ok=True)
+            files.remove_file(workspace.policy_record(cell), workspace.root)
             _learn(workspace, cell, params, mark, report, clock)
     log(workspace, cell, params, grid, {"transitions": digest, "model_fingerprint": model, "reused": str(reused)})
 
@@ -92,6 +92,7 @@ class Checkpoint:
     """All that learning a cell's policy needs to go on from its last evaluation."""
 
     def __init__(self, workspace: Workspace, cell: Cell, mark: str) -> None:
+        self._root = workspace.root
         self._arrays = workspace.checkpoint(cell)
         self._curve = self._arrays.with_suffix(".json")
         self._mark = mark
@@ -118,8 +119,8 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Delete what is no longer needed."""
-        self._arrays.unlink(missing_ok=True)
-        self._curve.unlink(missing_ok=True)
+        for path in (self._arrays, self._curve):
+            files.remove_file(path, self._root)
 
 
 def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags: dict[str, str]) -> None:
@@ -147,4 +148,4 @@ def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
     wanted = {cell.name for cell in cells}
     for path in workspace.policies.glob("*"):
         if path.name.removesuffix(path.suffix).removesuffix(".checkpoint") not in wanted:
-            path.unlink()
+            files.remove_file(path, workspace.root)

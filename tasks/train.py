@@ -97,7 +97,7 @@ def train_cell(
         reused = finished(workspace.model(cell), workspace.record(cell), mark)
         if not reused:
             # Should this training fail, the model of other parameters must not pass for its result.
-            workspace.record(cell).unlink(missing_ok=True)
+            files.remove_file(workspace.record(cell), workspace.root)
             simulator = found.simulator if found else Spot(time_step=time_step)
             record = {"fingerprint": mark, **({"effects": list(found.simulator.effects)} if found else {})}
             _train(workspace, cell, simulator, params.train, record, report, clock)
@@ -160,4 +160,4 @@ def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
     wanted |= {path for s in diagnosed.shares(cells) for path in (workspace.augmented(s), workspace.effects(s))}
     for path in workspace.models.rglob("*"):
         if path.is_file() and path not in wanted:
-            path.unlink()
+            files.remove_file(path, workspace.root)

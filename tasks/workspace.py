@@ -1,12 +1,19 @@
 """Where every stage's files lie: under the project for `dvc repro`, under `sweeps/<id>` for everything else."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from simgap.types import ConfigError
+from tasks import names
+
 SPLITS = ("training", "test")
 DIAGNOSED = "_diagnosed"
 """Ends the name of a model that is given the diagnosed simulator in place of the simulator."""
+_VALUE = rf"{names.PATTERN}=[0-9.e+x-]+"
+_VARIANT = re.compile(rf"({_VALUE}(,{_VALUE})*)?")
+"""Names with their numbers, such as `learning_rate=0.01,hidden_layer_sizes=16x16`."""
 
 
 class Cell(NamedTuple):
@@ -49,12 +56,23 @@ class Share(NamedTuple):
 class Workspace:
     """The folders of one source's recordings, models and results.
 
-    Variants, in a sweep over hyperparameters, share the recordings; each has a folder for the rest.
+    Variants, in a sweep over hyperparameters, share the recordings; each has a folder for the rest. Raises ConfigError
+    where the source or the variant is no name: its folders would lie elsewhere.
     """
 
     root: Path
     source: str
     variant: str = ""
+
+    def __post_init__(self) -> None:
+        names.check(self.source, "the source of the recordings")
+        if not _VARIANT.fullmatch(self.variant):
+            raise ConfigError(f"the variant is {self.variant!r}; it must be like learning_rate=0.01,batch_size=64.")
+
+    @property
+    def lock(self) -> Path:
+        """Held by the process that works on this source here."""
+        return self.root / "data" / f".{self.source}.lock"
 
     @property
     def suffix(self) -> str:

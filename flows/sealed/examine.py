@@ -24,7 +24,7 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     cases = examine.chosen(manifest, wanted)
     marks = {case: examine.fingerprint(workspace, case, wanted.seed, code) for case in manifest["keys"]}
     for case in examine.remove_stale(workspace, marks):
-        progress.say(f"warning: {workspace.examinations / case}: a file of it is damaged. The case is examined again.")
+        progress.say(f"warning: {workspace.examination(case)}: a file of it is damaged. The case is examined again.")
     left = [case for case in cases if not examine.finished(workspace, case, marks[case])]
     progress.say(f"{len(cases) - len(left)} of {len(cases)} cases are diagnosed already")
     failed = _fan_out(workspace, left, marks, params)

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from flows.start import add_overrides, guarded, read_overrides
+from flows.start import add_overrides, guarded, held, read_overrides
 from tasks import files, fingerprint
 from tasks.params import load_sealed
 from tasks.sealed.conceal import SUITES
+from tasks.sealed.workspace import SealedWorkspace
 
 PARAMS = Path("sealed/params.yaml")
 FOLDERS = ("data/sealed", "keys", "examinations", "reports/sealed")
@@ -23,6 +24,12 @@ def main(run: Callable[..., Any]) -> None:
     add_overrides(parser)
     arguments = parser.parse_args()
     fingerprint.diagnosing_code()
-    for folder in FOLDERS:
-        files.remove_unfinished(arguments.workspace / folder)
-    guarded(lambda: run(arguments.suite, load_sealed(PARAMS, *read_overrides(arguments)), arguments.workspace))
+
+    def work() -> None:
+        params = load_sealed(PARAMS, *read_overrides(arguments))
+        with held(SealedWorkspace(arguments.workspace, arguments.suite).lock):
+            for folder in FOLDERS:
+                files.remove_unfinished(arguments.workspace / folder)
+            run(arguments.suite, params, arguments.workspace)
+
+    guarded(work)

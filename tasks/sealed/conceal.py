@@ -58,14 +58,16 @@ def write(
             made = _real(draw, case_draw, real())
         case name:
             made = _suite(params, name, draw, case_draw)
-    workspace.manifest.unlink(missing_ok=True)  # first and last: without it there is no suite, whole or in part
+    files.remove_file(
+        workspace.manifest, workspace.root
+    )  # first and last: without it there is no suite, whole or in part
     for folder in (workspace.data, workspace.keys):
-        files.remove_folder(folder)
+        files.remove_folder(folder, workspace.root)
     names = suite.names(len(made), name_draw)
     keys: dict[str, dict[str, Any]] = {}
     # In the order of the names, so that the order of making says nothing.
     for name, case in sorted(zip(names, made, strict=True)):
-        keys[name] = case.write(workspace.cases / name)
+        keys[name] = case.write(workspace.case(name))
         report(len(keys), {})
     salts = {name: salt_draw.bytes(SALT_BYTES).hex() for name in keys}
     secret = seal.secret()

@@ -33,9 +33,9 @@ def chosen(manifest: dict[str, Any], params: ExamineParams) -> list[str]:
 
 def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> str:
     """Identifies what a diagnosis depends on: the recordings, the seed and the diagnosing code."""
-    sessions = sorted((workspace.cases / case).rglob("*.csv"))
+    sessions = sorted(workspace.case(case).rglob("*.csv"))
     if not sessions:
-        raise SimgapError(f"{workspace.cases / case}: there are no recordings of this case. Run the stage `conceal`.")
+        raise SimgapError(f"{workspace.case(case)}: there are no recordings of this case. Run the stage `conceal`.")
     recorded = files.digest(sessions)
     return f"{code[:16]}-{recorded}-{seed}"
 
@@ -109,11 +109,11 @@ def examine_case(
     workspace: SealedWorkspace, case: str, idle: queue.Queue[Examiner], marks: dict[str, str], seed: int, job: Job
 ) -> str | None:
     """Diagnose one case with the next idle process and keep a record of it; returns why it failed, if it did."""
-    files.remove_folder(workspace.examinations / case)
+    files.remove_folder(workspace.examination(case), workspace.root)
     examiner = idle.get()
     try:
         with job(case, 1):
-            answer = examiner.diagnose(workspace.cases / case, workspace.statement(case), seed)
+            answer = examiner.diagnose(workspace.case(case), workspace.statement(case), seed)
     finally:
         idle.put(examiner)
     error = answer.get("error")
@@ -128,10 +128,11 @@ def remove_stale(workspace: SealedWorkspace, marks: dict[str, str]) -> list[str]
     damaged = []
     if workspace.examinations.exists():
         for folder in sorted(p for p in workspace.examinations.iterdir() if p.is_dir()):
-            paths = (workspace.record(folder.name), workspace.statement(folder.name))
-            if any(path.exists() and _whole(path) is None for path in paths):
-                damaged.append(folder.name)
-            elif (_whole(paths[0]) or {}).get("fingerprint") == marks.get(folder.name, ""):
-                continue
-            files.remove_folder(folder)
+            if folder.name in marks:
+                paths = (workspace.record(folder.name), workspace.statement(folder.name))
+                if any(path.exists() and _whole(path) is None for path in paths):
+                    damaged.append(folder.name)
+                elif (_whole(paths[0]) or {}).get("fingerprint") == marks[folder.name]:
+                    continue
+            files.remove_folder(folder, workspace.root)
     return damaged

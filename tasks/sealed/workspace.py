@@ -3,16 +3,26 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from tasks import names
+
 BEFORE, AFTER = "before", "after"
 """Folders of a case whose question is what changed."""
 
 
 @dataclass(frozen=True)
 class SealedWorkspace:
-    """The folders of one suite under `root`."""
+    """The folders of one suite under `root`; ConfigError where the suite, or later a case, is no name."""
 
     root: Path
     suite: str
+
+    def __post_init__(self) -> None:
+        names.check(self.suite, "the suite")
+
+    @property
+    def lock(self) -> Path:
+        """Held by the process that works on this suite here."""
+        return self.root / "data" / "sealed" / f".{self.suite}.lock"
 
     @property
     def data(self) -> Path:
@@ -23,10 +33,14 @@ class SealedWorkspace:
         """A recording set a case."""
         return self.data / "cases"
 
+    def case(self, case: str) -> Path:
+        """All recordings of a case."""
+        return self.cases / names.check(case, "a case")
+
     def recordings(self, case: str) -> Path:
         """A case's sessions; those after, where there are some from before a change."""
-        after = self.cases / case / AFTER
-        return after if after.exists() else self.cases / case
+        after = self.case(case) / AFTER
+        return after if after.exists() else self.case(case)
 
     @property
     def manifest(self) -> Path:
@@ -61,12 +75,17 @@ class SealedWorkspace:
 
     def report(self, code: str, round_: int) -> Path:
         """What came out for a version of the diagnosing code, in a round; the reports of others stay."""
-        return self.root / "reports" / "sealed" / self.suite / f"{code[:8]}-round-{round_}"
+        name = names.check(f"{code[:8]}-round-{round_}", "the report's folder")
+        return self.root / "reports" / "sealed" / self.suite / name
+
+    def examination(self, case: str) -> Path:
+        """What is known of a case that was diagnosed."""
+        return self.examinations / names.check(case, "a case")
 
     def statement(self, case: str) -> Path:
         """What was said of a case."""
-        return self.examinations / case / "diagnosis.json"
+        return self.examination(case) / "diagnosis.json"
 
     def record(self, case: str) -> Path:
         """Fingerprint, seconds and, if it failed, why."""
-        return self.examinations / case / "record.json"
+        return self.examination(case) / "record.json"

@@ -19,7 +19,7 @@ DOORS = {
         "tasks/tracking_plots.py",
         "tasks/sealed/figures.py",
     },
-    "yaml": {"tasks/params.py", "flows/provenance.py"},
+    "yaml": {"tasks/yaml_files.py"},
     "mcap": {"tasks/bags.py"},
     "rosbags": {"tasks/bags.py"},
 }

@@ -28,10 +28,11 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from sqlalchemy import text
 
 from flows import running
-from flows.start import alone, guarded
+from flows.start import alone, guarded, held
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
 from tasks import artifacts, databases, files, tracking
+from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
 ARRAYS = {"a": np.arange(1000.0)}
@@ -362,12 +363,49 @@ def test_two_at_once_lose_nothing(root: Path) -> None:
 
 
 def test_one_name_is_one_run_at_a_time(tmp_path: Path) -> None:
-    with alone(tmp_path / "mine"):
-        with pytest.raises(SimgapError, match="another run of this name is at work"), alone(tmp_path / "mine"):
+    """A folder is held whole, what belongs to a source is held where a stage works on it, and others are free."""
+    mine, source = tmp_path / "mine", Workspace(tmp_path / "mine", "virtual").lock
+    with alone(mine, "virtual"):
+        for taken in (lambda: alone(mine), lambda: alone(mine, "spot"), lambda: held(source)):
+            with pytest.raises(SimgapError, match=f"lock: held by process {os.getpid()} on .* since .*pytest"), taken():
+                pass
+        with alone(tmp_path / "other", "virtual"), held(Workspace(mine, "spot").lock):
             pass
-        with alone(tmp_path / "other"):
-            pass
-    with alone(tmp_path / "mine"):
+    assert source.read_text() == ""
+    with held(source), pytest.raises(SimgapError, match=r"\.virtual\.lock: held by"), alone(mine, "virtual"):
+        pass
+    with alone(mine, "virtual"):
+        pass
+
+
+HOLDING = """
+import sys
+import flows
+from pathlib import Path
+from flows.start import alone
+with alone(Path(sys.argv[1]), "virtual"):
+    print("held", flush=True)
+    input()
+"""
+
+
+def test_a_lock_is_free_again_when_its_holder_is_killed(tmp_path: Path) -> None:
+    """And says of whom it is until then."""
+    holder = subprocess.Popen([sys.executable, "-c", HOLDING, str(tmp_path)], cwd=ROOT, text=True,
+                              stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # fmt: skip
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(SimgapError, match=f"held by process {holder.pid} on "), alone(tmp_path):
+        pass
+    holder.kill()
+    holder.wait()
+    with alone(tmp_path, "virtual"):
+        pass
+
+
+def test_a_lock_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
+    (tmp_path / ".lock").mkdir()
+    with pytest.raises(SimgapError, match=r"\.lock: cannot be opened \(Is a directory\)"), alone(tmp_path):
         pass
 
 

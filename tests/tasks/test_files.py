@@ -732,6 +732,6 @@ def test_a_digest_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
 
 def test_a_folder_is_removed_if_it_is_there(tmp_path: Path) -> None:
     written(tmp_path / "a", {"deep/file": "one"})
-    files.remove_folder(tmp_path / "a")
-    files.remove_folder(tmp_path / "a")
+    files.remove_folder(tmp_path / "a", tmp_path)
+    files.remove_folder(tmp_path / "a", tmp_path)
     assert not list(tmp_path.iterdir())

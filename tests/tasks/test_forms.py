@@ -16,10 +16,16 @@ PARAMS = ROOT / "params.yaml"
 
 
 @pytest.mark.parametrize(
-    "name", ["", ".", "..", "../x", "a/b", "/tmp", ".hidden", "a\0b", "a b", "x" * 101, "-rf", "a.b", "v12", "latest"]
+    "name", ["", ".", "..", "../x", "a/b", "/tmp", ".hidden", "a\0b", "a b", "x" * 101, "-rf", "a.b", "\u212a"]
 )
 def test_a_name_that_is_no_folder_of_its_own_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match="becomes a folder"):
+    with pytest.raises(ConfigError, match=r"the run's name is .* becomes a file or folder"):
+        forms.folder(name)
+
+
+@pytest.mark.parametrize("name", ["v12", "V1", "latest", "Newest"])
+def test_an_alias_of_mlflows_own_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="an alias that MLflow uses itself"):
         forms.folder(name)
 
 
@@ -96,6 +102,14 @@ def test_every_combination_is_a_cell_and_none_is_there_twice() -> None:
     by_name = dict(zip(names, cells.values(), strict=True))
     own = by_name["sim_fsvgd-gaussian-N40-s0-learning_rate=0.01,hidden_layer_sizes=8"]
     assert (own.train.bnn.learning_rate, own.train.bnn.hidden_layer_sizes) == (0.01, (8,))
+
+
+def test_values_that_differ_little_are_two_cells() -> None:
+    """A label with six digits made them one, and the second was never trained."""
+    values = forms.read_values(["sim_model.learning_rate=0.00100001,0.00100002"])
+    only = {"train": {"models": ["sim_model"], "noises": ["gaussian"], "sample_sizes": [40], "seeds": [0]}}
+    cells = sweep.cells(Path("r"), "virtual", values, lambda more: load_params(PARAMS, only, more))
+    assert {w.variant for w, _ in cells} == {"learning_rate=0.00100001", "learning_rate=0.00100002"}
 
 
 def test_a_variant_shares_the_recordings_alone() -> None:

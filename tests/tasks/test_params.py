@@ -1,13 +1,20 @@
 """params.yaml is read whole, and every wrong key is named."""
 
+import math
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from simgap.types import ConfigError
-from tasks.params import load_params
+from tasks import forms
+from tasks.params import load_params, load_sealed
+from tasks.ranges import RANGES
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,12 +47,17 @@ def test_the_small_size_changes_only_sizes() -> None:
     ("override", "words"),
     [
         ({"train": {"bnn": {"particels": 5}}}, ["train.bnn", "particels", "particles"]),
-        ({"train": {"bnn": {"particles": 0}}}, ["train.bnn", "particles is 0"]),
-        ({"train": {"fsvgd": {"lengthscale": -1.0}}}, ["train.fsvgd", "lengthscale is -1"]),
+        ({"train": {"bnn": {"particles": 0}}}, ["train.bnn.particles: ", "greater than or equal to 1; it is 0"]),
+        ({"train": {"fsvgd": {"lengthscale": -1.0}}}, ["train.fsvgd.lengthscale: ", "greater than 0; it is -1"]),
         ({"train": {"seeds": ["a"]}}, ["train.seeds.0"]),
         ({"train": {"models": ["gp"]}}, ["train.models.0", "sim_fsvgd"]),
         ({"scores": {}}, ["scores"]),
         ({"score": {"stride": 0}}, ["score.stride"]),
+        ({"train": {"workers": 1e9}}, ["train.workers: ", "less than or equal to 1024; it is 1000000000.0"]),
+        ({"train": {"bnn": {"hidden_layer_sizes": [64, -64]}}}, ["train.bnn.hidden_layer_sizes.1: ", "it is -64"]),
+        ({"policy": {"environment": {"reward": {"arm_value": 2}}}}, ["policy.environment.reward.arm_value: "]),
+        ({"policy": {"environment": {"goal_height": [1.0, 0.2]}}}, ["policy.environment: ", "goal_height"]),
+        ({"policy": {"environment": {"reward": {"arm": 2}}}}, ["unknown key arm; known are state_bound, "]),
         ({"recordings": {"mine": {"folder": "x", "training": []}}}, ["recordings.mine", "test", "training"]),
     ],
 )
@@ -53,6 +65,105 @@ def test_wrong_parameters_are_named(override: dict[str, Any], words: list[str]) 
     with pytest.raises(ConfigError) as error:
         load_params(ROOT / "params.yaml", override)
     assert all(word in str(error.value) for word in words), error.value
+
+
+Leaf = tuple[tuple[str | int, ...], Any]
+
+
+def leaves(values: Any, path: tuple[str | int, ...] = ()) -> Iterator[Leaf]:
+    """Every value of a file that is neither a block nor a list, and where it stands."""
+    inner = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else None
+    if inner is None:
+        yield path, values
+    else:
+        for key, value in inner:
+            yield from leaves(value, (*path, key))
+
+
+def with_another(values: Any, path: tuple[str | int, ...], value: Any) -> Any:
+    """The file's values with another one in that place."""
+    if not path:
+        return value
+    changed = values.copy()
+    changed[path[0]] = with_another(values[path[0]], path[1:], value)
+    return changed
+
+
+ABSURD = (math.inf, -math.inf, math.nan, 1e18, -1e18, "1e18", "many", None, {"a": 1}, [[[[1]]]], {"a": {"a": {"a": 1}}})
+LOAD = {"params.yaml": load_params, "sealed/params.yaml": load_sealed}
+
+
+def keys(file: str) -> list[Leaf]:
+    """Of the project's file, all that are numbers."""
+    found = [leaf for leaf in leaves(yaml.safe_load((ROOT / file).read_text())) if not isinstance(leaf[1], str)]
+    assert len(found) > 20
+    return found
+
+
+@pytest.mark.parametrize("file", LOAD)
+def test_no_number_may_be_absurd(file: str) -> None:
+    """Every key refuses what is infinite, huge, of another kind or nested, and says which key it is."""
+    values, load = yaml.safe_load((ROOT / file).read_text()), LOAD[file]
+    for path, _ in keys(file):
+        for absurd in ABSURD:
+            with pytest.raises(ConfigError) as error:
+                load(ROOT / file, with_another(values, path, absurd))
+            assert re.search(rf"^  {'.'.join(map(str, path))}(\.|:)", without_kinds(str(error.value)), re.M), (
+                error.value
+            )
+
+
+def without_kinds(message: str) -> str:
+    """Of recordings, a message says of which kind of source they would be."""
+    return re.sub(r"\.(VirtualParams|FolderParams)", "", message)
+
+
+@pytest.mark.parametrize("file", LOAD)
+def test_no_size_rate_or_decay_may_be_negative(file: str) -> None:
+    """But where a sign has a meaning: places, directions, an entropy."""
+    signed = {"rest", "semi_axes", "advance", "shoulder", "body_low", "body_high", "target_entropy"}
+    values, load = yaml.safe_load((ROOT / file).read_text()), LOAD[file]
+    found = set()
+    for path, value in keys(file):
+        try:
+            load(ROOT / file, with_another(values, path, -abs(value) or -1))
+            found.add(next(str(part) for part in reversed(path) if isinstance(part, str)))
+        except ConfigError:
+            pass
+    assert found == (signed if file == "params.yaml" else set())
+
+
+def test_every_range_is_of_a_key_and_every_key_has_one() -> None:
+    names = {str(part) for path, _ in leaves(yaml.safe_load((ROOT / "params.yaml").read_text())) for part in path}
+    assert set(RANGES) <= names
+    for name, limits in RANGES.items():
+        assert limits.keys() & {"ge", "gt"}, name
+        assert limits.keys() & {"le", "lt"}, name
+
+
+@settings(deadline=None)
+@given(st.sampled_from(["bnn", "fsvgd", "sim_fsvgd", "sim_model"]), st.data())
+def test_the_form_admits_what_the_file_admits(block: str, data: st.DataObject) -> None:
+    """Every hyperparameter, whatever number comes."""
+    own = yaml.safe_load((ROOT / "params.yaml").read_text())["train"][block]
+    key = data.draw(st.sampled_from(sorted(set(own) - {"hidden_layer_sizes"})))
+    value = data.draw(st.integers() | st.floats() | st.floats(-1, 200) | st.integers(-1, 200))
+
+    def admitted(check: Callable[[], object]) -> bool:
+        try:
+            check()
+        except ConfigError:
+            return False
+        return True
+
+    in_file = admitted(lambda: load_params(ROOT / "params.yaml", {"train": {block: {key: value}}}))
+    assert admitted(lambda: forms.check(forms.Hyperparameters, {block: {key: [value]}})) == in_file
+
+
+def test_parameters_survive_being_written_and_read(tmp_path: Path) -> None:
+    params = load_params(ROOT / "params.yaml")
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params.model_dump(mode="json")))
+    assert load_params(tmp_path / "params.yaml") == params
 
 
 def test_a_missing_key_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,75 @@
+"""The one door to YAML files: what they hold, or one line that says what is wrong and where."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from simgap.types import ConfigError
+
+DEEPEST = 20
+"""Levels of blocks in blocks at most; the project's own files have four."""
+_MERGE = re.compile(r"^(<{7}|={7}|>{7}|\|{7})( .*)?$", re.MULTILINE)
+"""What git writes between the two sides of a merge that it could not finish."""
+
+
+class _Problem(yaml.MarkedYAMLError):
+    """With the place in the file and no more."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses what YAML admits and nobody means: a key that stands twice, of which the last would win, and nesting
+    without end."""
+
+    def __init__(self, stream: Any) -> None:
+        super().__init__(stream)
+        self._within: list[str] = []
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """A node, once its place is known."""
+        if len(self._within) > DEEPEST:
+            raise _Problem(problem=f"{self._named()} is nested deeper than {DEEPEST} levels",
+                           problem_mark=self.peek_event().start_mark)  # fmt: skip
+        self._within.append(index.value if isinstance(index, yaml.ScalarNode) else "")
+        try:
+            return super().compose_node(parent, index)  # type: ignore[arg-type]  # of a block, the key's node
+        finally:
+            self._within.pop()
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        """A block, once its keys are known to be different."""
+        node = super().compose_mapping_node(anchor)
+        lines: dict[str, int] = {}
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in lines:
+                first = lines[key.value]
+                raise _Problem(problem=f"the key {self._named(key.value)} stands twice, first in line {first}",
+                               problem_mark=key.start_mark)  # fmt: skip
+            lines[key.value] = key.start_mark.line + 1
+        return node
+
+    def _named(self, *key: str) -> str:
+        return ".".join(part for part in (*self._within, *key) if part)
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds; ConfigError, one line, when it is missing or damaged, or has a key twice."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        if merge := _MERGE.search(text):
+            line = text.count("\n", 0, merge.start()) + 1
+            raise ConfigError(
+                f"{path}: line {line} is the mark {merge[0][:7]} of a merge that git could not finish. Keep one of the "
+                "two sides, and delete the marks."
+            )
+        return yaml.load(text, _Loader)
+    except ConfigError:
+        raise
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}).") from None
+    except yaml.MarkedYAMLError as error:
+        at = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ConfigError(f"{path}: {at}{error.problem or error.context}. Correct the line.") from None
+    except Exception as error:  # a damaged file may raise anything
+        raise ConfigError(f"{path}: is no YAML ({' '.join(str(error).split())}). Correct or restore it.") from None
