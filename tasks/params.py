@@ -12,6 +12,9 @@ from simgap import fsvgd, identify, priors
 from simgap.policies import environment, follow, learn, references, sac
 from simgap.types import ConfigError
 
+YAML_LIMIT, YAML_DEPTH = 2**20, 20
+"""Greatest size [bytes] and nesting of a YAML file."""
+
 ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
 NoiseName = Literal["gaussian", "student_t"]
 Positive = Annotated[float, Field(gt=0)]
@@ -192,11 +195,27 @@ def _merge(base: Any, overrides: Any) -> Any:
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file holds; ConfigError when it is missing or damaged."""
+    """What a YAML file holds; ConfigError when it is missing, damaged or made to harm."""
     try:
-        return yaml.safe_load(path.read_text())
+        if path.stat().st_size > YAML_LIMIT:
+            raise ValueError(f"it has more than {YAML_LIMIT:,} bytes")
+        text = path.read_text(encoding="utf-8")
+        _refuse_bombs(text)
+        return yaml.safe_load(text)
     except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}).") from None
+        raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())}).") from None
+
+
+def _refuse_bombs(text: str) -> None:
+    """ValueError where a text nests deeper than any configuration, or repeats parts of itself: both can fill memory."""
+    depth = 0
+    for event in yaml.parse(text, yaml.SafeLoader):
+        line = event.start_mark.line + 1
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"line {line} has the alias *{event.anchor}; write out what it stands for")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > YAML_DEPTH:
+            raise ValueError(f"line {line} is nested more than {YAML_DEPTH} deep")
 
 
 def load_params(path: Path, *overrides: Mapping[str, Any]) -> Params:
