@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.types import ConfigError, Field, RecordingError, Schema
+from simgap.types import MOST_ROWS, ConfigError, Field, RecordingError, Schema
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
@@ -46,7 +46,8 @@ def align(
     """Evenly spaced rows, `time_s` and a column per stream; a new piece begins after every gap of the state's.
 
     States are interpolated (angles the short way round). A command is the last one that was sent by then; before the
-    first one there are no rows. Raises RecordingError where the streams have no time in common.
+    first one there are no rows. Raises RecordingError where the streams have no time in common, and, before any row is
+    made, where there would be more than `MOST_ROWS`.
     """
     states = {field.name: streams[field.name] for field in schema.state}
     start = max(s.time_s[0] for s in streams.values())
@@ -59,14 +60,32 @@ def align(
             "Leave the session out, or look for clocks that differ."
         )
     angles = {field.name for field in schema.state if field.kind == "angle"}
+    parts = _whole(list(states.values()), start, end, longest_gap_s)
+    _refuse_many(states, parts, rate_hz)
     pieces = []
-    for first, last in _whole(list(states.values()), start, end, longest_gap_s):
+    for first, last in parts:
         time = first + np.arange(int((last - first) * rate_hz + 1e-9) + 1) / rate_hz
         rows = {"time_s": time - time[0]}
         for name, stream in streams.items():
             rows[name] = _interpolated(stream, time, name in angles) if name in states else _held(stream, time)
         pieces.append(rows)
     return pieces
+
+
+def _refuse_many(states: Mapping[str, Stream], parts: Sequence[tuple[float, float]], rate_hz: float) -> None:
+    rows = sum((last - first) * rate_hz + 1 for first, last in parts)
+    if rows <= MOST_ROWS:
+        return
+    whole = f"{rate_hz:g} Hz would make {rows:,.0f} rows; a session has at most {MOST_ROWS:,}."
+    name = max(states, key=lambda n: np.diff(states[n].time_s).max(initial=0.0))
+    pauses = np.diff(states[name].time_s)
+    row = int(pauses.argmax())
+    if pauses[row] * rate_hz < rows / 2:
+        raise RecordingError(f"{whole} Lower rate_hz, or split the session.")
+    raise RecordingError(
+        f"{whole} Column {name}: value {row + 2} has the time stamp {states[name].time_s[row + 1]:g} s, after "
+        f"{states[name].time_s[row]:g} s. Mend or remove it, or give a longest_gap_s below the pause."
+    )
 
 
 def _whole(streams: Sequence[Stream], start: float, end: float, longest: float) -> list[tuple[float, float]]:

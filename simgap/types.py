@@ -7,6 +7,9 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+MOST_ROWS = 2_000_000
+"""Most rows of a session: half an hour at 1 kHz, a day at 20 Hz. With twenty columns these are 320 MB."""
+
 Kind = Literal["position", "angle", "velocity", "force"]
 Frame = Literal["world", "body"]
 Axis = Literal["x", "y", "z", "yaw", ""]

@@ -1,17 +1,27 @@
 """The door to bags: MCAP files and ROS 2 bags, as messages with stamps. Nothing in them is run."""
 
 import json
-from collections.abc import Iterator, Set
+from collections.abc import Callable, Iterator, Set
+from contextlib import redirect_stderr
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
+import lz4.frame
+import zstandard
+from mcap.records import Channel, Chunk, McapRecord, Schema
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from simgap.types import RecordingError
+
+RECORD_LIMIT = 2**30
+"""Greatest size of an MCAP file's record, and of what a chunk expands to [bytes]; recorders keep to a few million."""
+_SHOWN = 200  # characters of a library's error in a message
 
 
 class Message(NamedTuple):
@@ -28,38 +38,87 @@ def is_bag(path: Path) -> bool:
 
 
 def messages(path: Path, topics: Set[str]) -> Iterator[Message]:
-    """The messages of these topics, as received; RecordingError where the bag is damaged or lacks one of them."""
-    try:
-        yield from _mcap(path, topics) if path.is_file() else _ros2(path, topics)
-    except RecordingError:
-        raise
-    except (McapError, AnyReaderError, OSError, ValueError, KeyError, EOFError) as error:
-        raise RecordingError(f"{path}: cannot be read as a bag ({type(error).__name__}: {error}). Record or copy it "
-                             "again, or leave it out.") from None  # fmt: skip
+    """The messages of these topics, in no certain order; RecordingError where the bag is damaged or lacks a topic."""
+    read = _mcap(path, topics) if path.is_file() else _ros2(path, topics)
+    while True:
+        try:
+            message = next(read, None)
+        except RecordingError:
+            raise
+        except Exception as error:  # a damaged bag, or a definition made to harm, may raise anything
+            raise RecordingError(
+                f"{path}: cannot be read as a bag ({type(error).__name__}: {first_line(error)}). Record or copy it "
+                "again, or leave it out."
+            ) from None
+        if message is None:
+            return
+        yield message
+
+
+def first_line(error: Exception) -> str:
+    """What an error of a library says, short enough for a line."""
+    line = next(iter(str(error).splitlines()), "")
+    return line if len(line) <= _SHOWN else f"{line[:_SHOWN]}..."
 
 
 def _mcap(path: Path, topics: Set[str]) -> Iterator[Message]:
+    """Read from its beginning to its end, whether there is an index or not, so that every checksum is looked at."""
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
     with path.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        summary = reader.get_summary()
-        if summary is not None:
-            _refuse_missing(path, topics, {channel.topic for channel in summary.channels.values()})
-        decoders: dict[int, Any] = {}
-        for schema, channel, message in reader.iter_messages(topics=sorted(topics)):
-            if channel.message_encoding == "json":
-                content = json.loads(message.data)
-            else:
+        for record in _records(file):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, McapMessage) and channels[record.channel_id].topic in topics:
+                channel = channels[record.channel_id]
                 if channel.id not in decoders:
-                    decoders[channel.id] = DecoderFactory().decoder_for(channel.message_encoding, schema)
-                if decoders[channel.id] is None:
-                    defined = schema.encoding if schema and schema.encoding else "no language"
-                    raise RecordingError(
-                        f"{path}: the topic {channel.topic} has messages in {channel.message_encoding}, defined in "
-                        f"{defined}; JSON, and ROS 2 messages in cdr with their definitions in ros2msg, as `ros2 bag "
-                        "record` writes them, are read. Convert the bag, or record it so."
-                    )
-                content = decoders[channel.id](message.data)
-            yield Message(channel.topic, message.log_time, content)
+                    decoders[channel.id] = _decoder(path, channel, schemas.get(channel.schema_id))
+                yield Message(channel.topic, record.log_time, decoders[channel.id](record.data))
+    _refuse_missing(path, topics, {channel.topic for channel in channels.values()})
+
+
+def _records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """Records of a file and of its chunks; an error of the library where a checksum is wrong or the end is lacking."""
+    reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=RECORD_LIMIT)
+    for record in reader.records:
+        if isinstance(record, Chunk):
+            yield from breakup_chunk(replace(record, compression="", data=_expanded(record)), validate_crc=True)
+        else:
+            yield record
+
+
+def _expanded(chunk: Chunk) -> bytes:
+    """A chunk's content, of which a small file may make more than there is memory."""
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(RECORD_LIMIT + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=RECORD_LIMIT + 1)
+    elif chunk.compression:
+        raise ValueError(f"a chunk is compressed with {chunk.compression!r}; known are lz4 and zstd")
+    else:
+        data = chunk.data
+    if len(data) != chunk.uncompressed_size or len(data) > RECORD_LIMIT:
+        raise ValueError(f"a chunk has another size than the {chunk.uncompressed_size:,} bytes that it should have, "
+                         f"or more than {RECORD_LIMIT:,}")  # fmt: skip
+    return data
+
+
+def _decoder(path: Path, channel: Channel, schema: Schema | None) -> Callable[[bytes], Any]:
+    if channel.message_encoding == "json":
+        return json.loads
+    with redirect_stderr(StringIO()):  # the parser prints what it raises
+        decoder = DecoderFactory().decoder_for(channel.message_encoding, schema)
+    if decoder is None:
+        defined = schema.encoding if schema and schema.encoding else "no language"
+        raise RecordingError(
+            f"{path}: the topic {channel.topic} has messages in {channel.message_encoding}, defined in {defined}; "
+            "JSON, and ROS 2 messages in cdr with their definitions in ros2msg, as `ros2 bag record` writes them, are "
+            "read. Convert the bag, or record it so."
+        )
+    return decoder
 
 
 def _ros2(path: Path, topics: Set[str]) -> Iterator[Message]:

@@ -13,10 +13,11 @@ import pickle
 import shutil
 import socket
 import zipfile
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TextIO
 from uuid import uuid4
 
 import numpy as np
@@ -32,16 +33,22 @@ from simgap.policies.actor import Actor
 from simgap.recordings import Normalisation, check_recording
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
-from simgap.types import Field, Recording, RecordingError, Schema, SimgapError
+from simgap.types import MOST_ROWS, Field, Recording, RecordingError, Schema, SimgapError
 
 SUFFIXES = (".csv", ".parquet", ".pickle")
 """What a session's file may end in, in upper or lower case."""
+ROW_LIMIT = 2**20
+"""Most characters in a row of a CSV file: some ten thousand columns."""
+LARGEST = float(np.sqrt(np.finfo(np.float32).max / MOST_ROWS))
+"""Greatest size of a value: the squares of a session's values have a finite sum in single precision, which the
+diagnosis and the learning compute in."""
 PICKLE_LIMIT = 64 * 2**20
 """Greatest size of a pickle that is opened [bytes]; the published ones stay below 0.2 MB."""
 
 _Columns = dict[str, Float[np.ndarray, " T"]]
 _OWNER = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 """Begins the names of files that are being written: on a shared disk, processes of other machines write too."""
+_SHOWN = 20  # files that are named where none can be used
 _TEXT_SHOWN = 40  # characters of a file's own text in a message
 
 
@@ -62,7 +69,7 @@ def read_recordings(
     seen: dict[str, Path] = {}
     paths = _session_files(folder, patterns)
     for path in paths:
-        name = path.relative_to(folder).with_suffix("").as_posix()
+        name = session_name(folder, path)
         try:
             if name in seen:
                 raise RecordingError(
@@ -70,14 +77,40 @@ def read_recordings(
                     "Remove or rename one of the two."
                 )
             seen[name] = path
-            columns = _columns(path, schema, time_step)
-            recordings.append(check_recording(schema, str(path), columns)._replace(name=name))
+            recordings.append(checked(path, schema, _columns(path, schema, time_step))._replace(name=name))
         except RecordingError as error:
-            errors.append(error)
+            errors.append(RecordingError(printable(str(error))))
     if not recordings:
-        reasons = "\n".join(f"  {error}" for error in errors)
-        raise RecordingError(f"{folder}: none of its {len(paths)} session files can be used:\n{reasons}")
+        reasons = "\n".join(f"  {error}" for error in errors[:_SHOWN])
+        more = f"\n  and {len(errors) - _SHOWN} more" if len(errors) > _SHOWN else ""
+        raise RecordingError(
+            printable(f"{folder}: none of its {len(paths)} session files can be used:\n{reasons}{more}")
+        )
     return recordings, errors
+
+
+def checked(path: Path, schema: Schema, columns: _Columns) -> Recording:
+    """Columns as a recording that can be computed with; RecordingError that names file, column, row and remedy."""
+    recording = check_recording(schema, str(path), columns)
+    for name in schema.columns:
+        beyond = np.flatnonzero(np.abs(columns[name]) > LARGEST)
+        if beyond.size:
+            raise RecordingError(
+                f"{path}: column {name}, row {beyond[0] + 1} is {columns[name][beyond[0]]:g}; no value may exceed "
+                f"{LARGEST:.1e}, or its square is lost in single precision ({beyond.size} such rows). Look for a wrong "
+                "unit or a damaged value; convert the column, or cut the session there."
+            )
+    return recording
+
+
+def printable(text: str) -> str:
+    """A text that can be printed and written: what of a file's name is no UTF-8 as `\\udcff`."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def session_name(folder: Path, path: Path) -> str:
+    """A session's name: its path below the folder without the suffix, printable."""
+    return printable(path.relative_to(folder).with_suffix("").as_posix())
 
 
 def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
@@ -97,7 +130,7 @@ def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
 
 def session_names(folder: Path) -> list[str]:
     """Names of the sessions under a folder, whether they can be used or not."""
-    return [path.relative_to(folder).with_suffix("").as_posix() for path in _session_files(folder, ("**/*",))]
+    return [session_name(folder, path) for path in _session_files(folder, ("**/*",))]
 
 
 def _relative_name(name: str) -> str:
@@ -163,6 +196,12 @@ def read_table(path: Path, columns: Sequence[str]) -> _Columns:
     return found
 
 
+def _too_many(path: Path) -> RecordingError:
+    return RecordingError(
+        f"{path}: has more than {MOST_ROWS:,} rows, the most of a session. Split it, or lower its rate."
+    )
+
+
 def _refuse_duplicates(path: Path, header: Sequence[str], schema: Schema) -> None:
     for name in schema.columns:
         if header.count(name) > 1:
@@ -176,10 +215,20 @@ def _refuse_duplicates(path: Path, header: Sequence[str], schema: Schema) -> Non
 
 
 def _csv_columns(path: Path, schema: Schema) -> _Columns:
-    header, *rows = _csv_table(path)
-    header = [name.strip() for name in header]
+    """The schema's columns as numbers. A row is forgotten once its numbers are read: memory is 8 bytes a number."""
+    rows = _csv_rows(path)
+    header = [name.strip() for name in next(rows, [])]
+    if not header:
+        raise RecordingError(
+            f"{path}: is empty, or its first line is; it must begin with the columns' names. "
+            "Add the header, or leave the file out."
+        )
+    _refuse_separators(path, header, schema)
     _refuse_duplicates(path, header, schema)
+    numbers = {i: (name, array("d")) for i, name in enumerate(header) if name in schema.columns}
     for number, row in enumerate(rows, 1):
+        if number > MOST_ROWS:
+            raise _too_many(path)
         if len(row) != len(header):
             where = (
                 f"{header[len(row)]} is the first without" if len(row) < len(header) else f"{header[-1]} is the last"
@@ -188,44 +237,64 @@ def _csv_columns(path: Path, schema: Schema) -> _Columns:
                 f"{path}: row {number} has {len(row)} values for {len(header)} columns; column {where}. "
                 "Mend the row, or cut the session there."
             )
-    return {
-        name: _numbers(path, name, [row[i] for row in rows]) for i, name in enumerate(header) if name in schema.columns
-    }
+        for i, (name, values) in numbers.items():
+            values.append(_number(path, name, number, row[i]))
+    return {name: np.array(values) for name, values in numbers.values()}
 
 
-def _csv_table(path: Path) -> list[list[str]]:
+def _csv_rows(path: Path) -> Iterator[list[str]]:
     """Header and rows of a CSV file as text; a byte order mark and blank lines at the end do no harm."""
+    room = ROW_LIMIT
+
+    def lines(file: TextIO) -> Iterator[str]:
+        nonlocal room
+        while line := file.readline(room + 1):
+            room -= len(line)
+            if room < 0:
+                raise RecordingError(
+                    f"{path}: a row has more than {ROW_LIMIT:,} characters, {line[:_TEXT_SHOWN]!r}... . Save it as CSV, "
+                    "a line a row, or leave the file out."
+                )
+            yield line
+
+    blank = 0
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            table = list(csv.reader(file))
+            for row in csv.reader(lines(file)):
+                room = ROW_LIMIT
+                if not row:
+                    blank += 1
+                    continue
+                yield from ([] for _ in range(blank))
+                blank = 0
+                yield row
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: is no UTF-8 text ({error}). Save it as CSV in UTF-8.") from None
     except csv.Error as error:
         raise RecordingError(f"{path}: is no CSV ({error}). Save it with commas between the values.") from None
-    while table and not table[-1]:
-        table.pop()
-    if not table or not table[0]:
-        raise RecordingError(
-            f"{path}: is empty, or its first line is; it must begin with the columns' names. "
-            "Add the header, or leave the file out."
-        )
-    return table
 
 
-def _numbers(path: Path, column: str, texts: Sequence[str]) -> Float[np.ndarray, " T"]:
-    """Texts as numbers, a blank as NaN; RecordingError for the first that is neither."""
-    values = np.empty(len(texts))
-    for i, text in enumerate(texts):
-        try:
-            if "_" in text:  # python reads 1_000 as a number; in a table it is a slip
-                raise ValueError
-            values[i] = float(text) if text.strip() else math.nan
-        except ValueError:
+def _refuse_separators(path: Path, header: Sequence[str], schema: Schema) -> None:
+    for mark, word in ((";", "semicolons"), ("\t", "tabs")):
+        names = {name.strip().strip('"') for cell in header for name in cell.split(mark)}
+        if names & set(schema.columns) - set(header):
             raise RecordingError(
-                f"{path}: column {column}, row {i + 1} holds the text {text[:_TEXT_SHOWN]!r}; every value must be a "
-                "number, with a point before the decimals. Replace the text, or cut the session there."
-            ) from None
-    return values
+                f"{path}: the header has {word} between the columns; there must be commas, and a point before "
+                "the decimals. Save it so."
+            )
+
+
+def _number(path: Path, column: str, row: int, text: str) -> float:
+    """A text as a number, a blank as NaN; RecordingError where it is neither."""
+    try:
+        if "_" in text:  # python reads 1_000 as a number; in a table it is a slip
+            raise ValueError
+        return float(text) if text.strip() else math.nan
+    except ValueError:
+        raise RecordingError(
+            f"{path}: column {column}, row {row} holds the text {text[:_TEXT_SHOWN]!r}; every value must be a "
+            "number, with a point before the decimals. Replace the text, or cut the session there."
+        ) from None
 
 
 # Recordings: Parquet
@@ -234,6 +303,8 @@ def _numbers(path: Path, column: str, texts: Sequence[str]) -> Float[np.ndarray,
 def _parquet_columns(path: Path, schema: Schema) -> _Columns:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            if file.metadata.num_rows > MOST_ROWS:
+                raise _too_many(path)
             names = file.schema_arrow.names
             _refuse_duplicates(path, names, schema)
             table = file.read([name for name in schema.columns if name in names])
@@ -534,7 +605,7 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise SimgapError(_missing(path)) from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise SimgapError(
             f"{path}: is no whole JSON file ({error}). Delete it and run the stage that writes it."
         ) from None

@@ -1,6 +1,7 @@
 """Bags and tables of one's own robot into recordings, by a mapping file: where every column comes from."""
 
-from collections.abc import Iterator, Mapping
+from array import array
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -8,14 +9,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from simgap import resample
-from simgap.recordings import HISTORY, check_recording
+from simgap.recordings import HISTORY
 from simgap.resample import Stream
-from simgap.types import ConfigError, RecordingError, Schema
+from simgap.types import MOST_ROWS, ConfigError, RecordingError, Schema
 from tasks import bags, files
 from tasks.forms import check
 from tasks.yaml_files import read_yaml
 
 TABLES = (".csv", ".parquet")
+_SHOWN = 200  # characters of a bag's own text in a message
+_LINES, _LINE = 20, 1000  # lines, and characters in each, of a message of a mapping file
 
 
 class _Block(BaseModel):
@@ -51,18 +54,23 @@ class MappingFile(_Block):
     """A mapping file."""
 
     rate_hz: float = Field(gt=0, le=10_000, description="Rows a second.")
-    longest_gap_s: float = Field(gt=0, description="A session is cut where a column of the state pauses for longer.")
+    longest_gap_s: float = Field(
+        gt=0, allow_inf_nan=False, description="A session is cut where a column of the state pauses for longer."
+    )
     time: Time = Time()  # type: ignore[call-arg]
     columns: dict[str, Column]
 
 
 def read_mapping(path: Path, schema: Schema) -> MappingFile:
     """The mapping file; ConfigError names what is wrong in it."""
+    values = read_yaml(path)
     try:
-        mapping = check(MappingFile, read_yaml(path))
+        mapping = check(MappingFile, values)
         _check_columns(mapping, schema)
     except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        lines = str(error).splitlines()
+        more = [f"  and {len(lines) - _LINES} more"] if len(lines) > _LINES else []
+        raise ConfigError(f"{path}: " + "\n".join([line[:_LINE] for line in lines[:_LINES]] + more)) from None
     return mapping
 
 
@@ -120,7 +128,7 @@ def import_session(path: Path, name: str, mapping: MappingFile, schema: Schema, 
     rows = {}
     for k, piece in enumerate(pieces, 1):
         session = name if len(pieces) == 1 else f"{name}_{k}"
-        files.write_recording(out, check_recording(schema, str(path), piece)._replace(name=session), schema)
+        files.write_recording(out, files.checked(path, schema, piece)._replace(name=session), schema)
         rows[session] = len(piece["time_s"])
     return rows
 
@@ -134,14 +142,18 @@ def _streams(path: Path, mapping: MappingFile, schema: Schema) -> dict[str, Stre
         if not len(time):
             raise RecordingError(f"column {name} has no values. Look at its topic or column in the mapping file.")
         column = mapping.columns[name]
+        late = np.flatnonzero(~np.isfinite(time))
+        if late.size:
+            raise RecordingError(f"column {name}: value {late[0] + 1} of {len(time)} has the time stamp {time[late[0]]}; "
+                                 "every stamp must be a finite number. Cut the session there.")  # fmt: skip
         scale = column.sign * resample.factor(column.unit or fields[name].unit, fields[name].unit)
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]
         fresh = np.append(np.diff(time) > 0, True)  # of several values with one stamp, the last
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) <= files.LARGEST))
         if bad.size:
-            raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]}; every value "
-                                 "must be a finite number. Cut the session there.")  # fmt: skip
+            raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]:g}; every value "
+                                 f"must be a number of at most {files.LARGEST:.1e}. Cut the session there.")  # fmt: skip
         streams[name] = Stream(time[fresh], scale * values[fresh])
     zero = min(s.time_s[0] for s in streams.values())
     return {name: Stream(s.time_s - zero, s.values) for name, s in streams.items()}
@@ -167,8 +179,8 @@ def _of_bag(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, np.
         if not column.topic:
             raise ConfigError(f"{path}: is a bag, and the mapping names no topic for {name}. Add `topic` and `field`.")
         by_topic.setdefault(column.topic, []).append((name, column.field))
-    times: dict[str, list[float]] = {name: [] for name in mapping.columns}
-    values: dict[str, list[float]] = {name: [] for name in mapping.columns}
+    times = {name: array("d") for name in mapping.columns}
+    values = {name: array("d") for name in mapping.columns}
     first: int | None = None
     for message in bags.messages(path, by_topic.keys()):
         stamp = _stamp(message, path) if mapping.time.bag == "header" else message.received_ns
@@ -176,6 +188,9 @@ def _of_bag(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, np.
         for name, field in by_topic[message.topic]:
             times[name].append((stamp - first) * 1e-9)  # nanoseconds since 1970 do not fit a float
             values[name].append(_value(message.content, field, f"{path}: topic {message.topic}"))
+            if len(values[name]) > MOST_ROWS:
+                raise RecordingError(f"{path}: topic {message.topic} has more than {MOST_ROWS:,} messages, the most of "
+                                     "a session. Split the bag.")  # fmt: skip
     return {name: (np.array(times[name]), np.array(values[name])) for name in mapping.columns}
 
 
@@ -185,14 +200,21 @@ def _stamp(message: bags.Message, path: Path) -> int:
     nanoseconds = next((n for n in (_member(stamp, "nanosec"), _member(stamp, "nsec")) if n is not None), None)
     if seconds is None or nanoseconds is None:
         raise RecordingError(f"{path}: topic {message.topic} has no stamped header. Give `time: {{bag: received}}`.")
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    try:
+        if abs(int(seconds)) < 2**63 and abs(int(nanoseconds)) < 2**63:
+            return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise RecordingError(f"{path}: topic {message.topic} has a header stamped {str(seconds)[:_SHOWN]} s and "
+                         f"{str(nanoseconds)[:_SHOWN]} ns; both must be whole numbers. Give `time: {{bag: received}}`."
+                         )  # fmt: skip
 
 
 def _member(content: Any, name: str) -> Any:
     """A field of a message, an entry of a list by its number, or None."""
     if isinstance(content, Mapping):
         return content.get(name)
-    if name.isdigit() and hasattr(content, "__getitem__"):
+    if name.isdecimal() and hasattr(content, "__getitem__"):
         return content[int(name)] if int(name) < len(content) else None
     return None if name.startswith("_") else getattr(content, name, None)
 
@@ -202,21 +224,25 @@ def _value(content: Any, field: str, where: str) -> float:
     for name in field.split("."):
         inner = _member(found, name)
         if inner is None:
-            raise RecordingError(f"{where} has no {field!r}: {name!r} is not in {', '.join(_names(found))}. Mend it "
-                                 "in the mapping file.")  # fmt: skip
+            raise RecordingError(f"{where} has no {field!r}: {name!r} is not in {_names(found)}. Mend it in the "
+                                 "mapping file.")  # fmt: skip
         found = inner
     parts = [_member(found, axis) for axis in "xyzw"]
-    if all(part is not None for part in parts):
-        return resample.yaw(*(float(part) for part in parts))
     try:
+        if all(part is not None for part in parts):
+            return resample.yaw(*(float(part) for part in parts))
         return float(found)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise RecordingError(f"{where}: {field!r} must be a number, or a quaternion of which the yaw is taken; it "
                              f"is {type(found).__name__}. Go on to one of its own fields.") from None  # fmt: skip
 
 
-def _names(content: Any) -> Iterator[str]:
+def _names(content: Any) -> str:
+    """What may follow in a field."""
     if isinstance(content, Mapping):
-        yield from map(str, content)
+        names = map(str, content)
+    elif hasattr(content, "__getitem__"):
+        return f"a list of {len(content)}"
     else:
-        yield from (name for name in getattr(content, "__slots__", None) or vars(content) if not name.startswith("_"))
+        names = getattr(content, "__slots__", None) or getattr(content, "__dict__", ())
+    return ", ".join(name for name in names if not name.startswith("_"))[:_SHOWN] or f"a {type(content).__name__}"

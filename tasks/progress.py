@@ -109,6 +109,7 @@ def table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 
 def say(line: str) -> None:
     """Print a line as it is, above the bars if there are any: a unit in brackets is no style."""
+    line = line.encode("utf-8", "backslashreplace").decode("utf-8")  # a file's name may be no UTF-8
     console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
     _log(line)
 

@@ -10,6 +10,8 @@ from simgap.types import ConfigError
 
 DEEPEST = 20
 """Levels of blocks in blocks at most; the project's own files have four."""
+LARGEST = 2**20
+"""Bytes of a file at most."""
 _MERGE = re.compile(r"^(<{7}|={7}|>{7}|\|{7})( .*)?$", re.MULTILINE)
 """What git writes between the two sides of a merge that it could not finish."""
 
@@ -19,8 +21,8 @@ class _Problem(yaml.MarkedYAMLError):
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses what YAML admits and nobody means: a key that stands twice, of which the last would win, and nesting
-    without end."""
+    """Refuses what YAML admits and nobody means: a key that stands twice, of which the last would win; and what can fill
+    memory: nesting without end, and parts that repeat others."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__(stream)
@@ -28,6 +30,9 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """A node, once its place is known."""
+        if self.check_event(yaml.AliasEvent):
+            alias = self.peek_event()
+            raise _Problem(problem=f"*{alias.anchor} repeats another part; write it out", problem_mark=alias.start_mark)
         if len(self._within) > DEEPEST:
             raise _Problem(problem=f"{self._named()} is nested deeper than {DEEPEST} levels",
                            problem_mark=self.peek_event().start_mark)  # fmt: skip
@@ -56,6 +61,8 @@ class _Loader(yaml.SafeLoader):
 def read_yaml(path: Path) -> Any:
     """What a YAML file holds; ConfigError, one line, when it is missing or damaged, or has a key twice."""
     try:
+        if path.stat().st_size > LARGEST:
+            raise ConfigError(f"{path}: has more than {LARGEST:,} bytes. Is it the right file?")
         text = path.read_text(encoding="utf-8")
         if merge := _MERGE.search(text):
             line = text.count("\n", 0, merge.start()) + 1
