@@ -144,8 +144,8 @@ def _streams(path: Path, mapping: MappingFile, schema: Schema) -> dict[str, Stre
         column = mapping.columns[name]
         late = np.flatnonzero(~np.isfinite(time))
         if late.size:
-            raise RecordingError(f"column {name}: value {late[0] + 1} of {len(time)} has the time stamp {time[late[0]]}; "
-                                 "every stamp must be a finite number. Cut the session there.")  # fmt: skip
+            raise RecordingError(f"column {name}: value {late[0] + 1} of {len(time)} has the time stamp {time[late[0]]}"
+                                 "; every stamp must be a finite number. Cut the session there.")  # fmt: skip
         scale = column.sign * resample.factor(column.unit or fields[name].unit, fields[name].unit)
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]

@@ -51,7 +51,7 @@ def known(of: Problem, name: str) -> Candidate:
 
 @dataclass(frozen=True)
 class InUnits:
-    """The drive with lengths, and with masses, in units so many times smaller: all numbers are so many times greater."""
+    """The drive with lengths, and with masses, in units so many times smaller: its numbers are so many times greater."""
 
     length: float
     mass: float
