@@ -58,6 +58,21 @@ def test_only_flows_read_clock_directory_and_environment() -> None:
         assert not re.search(r"os\.environ|os\.getcwd|Path\.cwd", path.read_text()), name
 
 
+DELETE = re.compile(r"\b(rmtree|unlink|rmdir|removedirs|os\.remove)\(")
+"""Of `os`, `shutil` and paths."""
+DELETING = {
+    "tasks/files.py",  # asks for the workspace
+    "tasks/tracking.py",  # a half-made database, of one name
+    "flows/servers.py",  # files that say what runs, of fixed names
+    "flows/serve.py",
+}
+
+
+def test_one_door_deletes() -> None:
+    """It refuses what does not lie in a workspace, whoever asks."""
+    assert {name for name, path in modules().items() if DELETE.search(path.read_text())} == DELETING
+
+
 def stage_names(path: Path) -> list[str]:
     return list(yaml.safe_load(path.read_text())["stages"])
 
