@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.candidates import Candidate, unit_of
-from simgap.diagnosis.fit import Fit, Group, Problem, constant_columns, directions, spans, weights
+from simgap.diagnosis.fit import Fit, Group, Problem, constant_columns, directions, evaluate, spans, trials, weights
 from simgap.diagnosis.screen import blocks
-from simgap.diagnosis.search import LEAST_SHARE
+from simgap.diagnosis.search import LEAST_SHARE, without
+from simgap.diagnosis.when import When, edges_ci95, rows_of, scores
 from simgap.effects.effect import Constant
 
 Z95 = 1.96
@@ -110,6 +111,18 @@ def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> 
         if whole or not width > 0:
             return False
     return True
+
+
+def edges(problem: Problem, fit: Fit, candidate: Candidate, when: When) -> list[dict]:
+    """Beginning and end [s] of an effect that acts during a stretch of one session, with 95 % intervals."""
+    everywhere = problem._replace(chunks=problem.chunks._replace(gate=np.ones_like(problem.chunks.gate)))
+    bare = evaluate(problem, without(fit, candidate.groups).v, (), fit.noise)
+    evidence = scores(fit, bare.e, trials(everywhere, [fit.v])[0])
+    intervals = edges_ci95(rows_of(problem.chunks), when, *evidence)
+    return [
+        {"name": name, "value": value, "unit": "s", "ci95": list(interval)}
+        for name, value, interval in zip(("from", "to"), (when.from_s, when.to_s), intervals, strict=True)
+    ]
 
 
 def _physical(problem: Problem, site: int, constant: Constant, group: Group, internal: float) -> float:

@@ -13,7 +13,7 @@ from simgap.diagnosis.innovations import Chunks, cut
 from simgap.diagnosis.left_over import LeftOver, named_share
 from simgap.diagnosis.measure import measure
 from simgap.diagnosis.pushes import pushed
-from simgap.diagnosis.rivals import Member, defend, outshone
+from simgap.diagnosis.rivals import LIKELY, Member, defend, outshone
 from simgap.diagnosis.scatter import scatter
 from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.search import LEAST_SHARE, Model, Round, Say, Tried, lacking, search, without
@@ -27,8 +27,6 @@ from simgap.types import Recording, StepModel
 
 EXPLAINED = 0.5
 """Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
-LIKELY = 0.3
-"""Probability below which a name is but one of many: three as likely as each other may still be a credible set."""
 
 
 class Explanation(NamedTuple):

@@ -1,9 +1,10 @@
 """Every effect of a set against what could stand in its place: who keeps it, and how sure that is."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from simgap.diagnosis.candidates import Candidate
 from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density, optimise
@@ -25,6 +26,8 @@ from simgap.diagnosis.when import When
 
 RIVAL = 0.03
 """Share of what a member was expected to gain when it was chosen that a rival must have been expected to gain."""
+LIKELY = 0.3
+"""Probability below which a name is but one of many: three as likely as each other may still be a credible set."""
 
 
 class Member(NamedTuple):
@@ -111,25 +114,37 @@ def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:
 
 
 def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
-    """Probability of each effect id: likelihood of its best hypothesis, less log n / 2 a constant, against the first's.
-
-    What a rival is behind by counts only so far as it exceeds `LEAST_SHARE` of the first's gain: less may be no more
-    than the difference between laws and robot. And the ratio of two likelihoods is itself uncertain: where its spread
-    over blocks of rows is wider than that of a correct model's (variance twice the mean), the ratio is worn down
-    accordingly [Vuong 1989].
-    """
-    starts, rows = blocks(np.asarray(problem.chunks.counts)), len(tried[0].fit.e)
+    """Probability of each effect id, by its best hypothesis, the first one tried being the best of all."""
+    starts = blocks(np.asarray(problem.chunks.counts))
     best: dict[str, Tried] = {}
     for t in tried:
         value = best.get(t.candidate.effect.id)
         if value is None or t.gain > value.gain:
             best[t.candidate.effect.id] = t
-    score = {k: t.gain - 0.5 * len(t.candidate.groups) * np.log(rows) for k, t in best.items()}
-    lead = tried[0].candidate.effect.id
-    density = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
+    rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
+    lead, constants = tried[0].candidate.effect.id, {k: len(t.candidate.groups) for k, t in best.items()}
+    return compared(rows, constants, starts, lead, best[lead].gain)
+
+
+def compared(
+    density: Mapping[str, Float[np.ndarray, " n"]],
+    constants: Mapping[str, int],
+    starts: Int[np.ndarray, " B"],
+    lead: str,
+    gain: float,
+) -> dict[str, float]:
+    """Probability of each name: likelihood of its rows, less log n / 2 a constant, against the lead's, which gains so
+    many nats.
+
+    What a rival is behind by counts only so far as it exceeds `LEAST_SHARE` of that gain: less may be no more than the
+    difference between laws and robot. And the ratio of two likelihoods is itself uncertain: where its spread over
+    blocks of rows is wider than that of a correct model's (variance twice the mean), the ratio is worn down accordingly
+    [Vuong 1989].
+    """
+    score = {k: float(d.sum()) - 0.5 * constants[k] * np.log(len(d)) for k, d in density.items()}
     logits = {}
-    for k in best:
-        behind = max(score[lead] - score[k] - LEAST_SHARE * max(best[lead].gain, 0.0), 0.0) if k != lead else 0.0
+    for k in density:
+        behind = max(score[lead] - score[k] - LEAST_SHARE * max(gain, 0.0), 0.0) if k != lead else 0.0
         difference = np.add.reduceat(density[lead] - density[k], starts)
         spread = len(difference) * float(np.var(difference))
         logits[k] = -behind * min(1.0, 2 * behind / spread) if spread > 0 else -behind

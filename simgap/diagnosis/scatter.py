@@ -6,6 +6,7 @@ and is claimed where it makes them likelier, block by block, in training and in 
 
 from simgap.diagnosis.fit import Fit, Problem
 from simgap.diagnosis.innovations import Chunks
+from simgap.diagnosis.rivals import LIKELY
 from simgap.diagnosis.scatter_claim import Scatter
 from simgap.diagnosis.scatter_of_rows import of_rows
 from simgap.diagnosis.stepping import stepping
@@ -18,4 +19,4 @@ def scatter(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None = 
         known = of_rows(problem, fit, before)
         if known is not None and known.id == found[0].id:
             found = found[1:]
-    return [f for f in found if f is not None]
+    return [f for f in found if f is not None and f.odds[f.id] >= LIKELY]

@@ -12,6 +12,9 @@ from simgap.types import Field
 OWED = 10.0
 """Least gain [nats]; hypotheses on the scatter have two or three constants each."""
 
+OTHER = "other_noise"
+"""In place of an effect's id: noise that has no name, outliers among it, and misfit of the laws of the mean."""
+
 
 class Axis(NamedTuple):
     """Along a direction: what x is called, where the plain rows lie on it, what the direction's length is there; and
@@ -60,7 +63,8 @@ class Spectrum(NamedTuple):
 class Scatter(NamedTuple):
     """An effect on the scatter: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats].
 
-    rare: it is a matter of single rows. shown: the law and the data, as `scatter_pictures` draws them.
+    Gains are over the likeliest noise that has no name. rare: it is a matter of single rows. odds: probability of every
+    id that could stand in its place, `OTHER` among them. shown: the law and the data, as `scatter_pictures` draws them.
     """
 
     id: str
@@ -70,4 +74,5 @@ class Scatter(NamedTuple):
     statement: str
     gain: float
     heldout_gain: float
+    odds: dict[str, float]
     shown: Between | Widening | Spectrum

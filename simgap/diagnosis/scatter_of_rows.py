@@ -1,30 +1,23 @@
 """Rows that scatter more than others: noise that grows with motion, rows that come late, lost commands.
 
-Each is another distribution of the innovations, row by row.
+Each is another distribution of the innovations, row by row (`row_mixture`), and they compete: with each other, with
+rows that are wide in no direction, and with misfit along the directions in which lost commands would move the rows.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import logsumexp
 
-from simgap.diagnosis.fit import (
-    Fit,
-    Noise,
-    Problem,
-    evaluate,
-    fit_noise,
-    log_density,
-    raw_innovations,
-    replaced,
-    row_trials,
-)
+from simgap.diagnosis import row_mixture
+from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, raw_innovations, replaced, row_trials
 from simgap.diagnosis.innovations import Chunks
-from simgap.diagnosis.scatter_claim import OWED, Axis, Between, Scatter, Widening
+from simgap.diagnosis.rivals import compared
+from simgap.diagnosis.row_mixture import Law, Mixture
+from simgap.diagnosis.scatter_claim import OTHER, OWED, Axis, Between, Scatter, Widening
 from simgap.diagnosis.screen import blocks
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Slot
@@ -34,29 +27,38 @@ SURE = 3.5
 """Standard deviations, over blocks of rows, by which the gain of what acts in all rows must exceed zero."""
 ODDEST = 3
 """Blocks of rows without which the gain of what acts in few rows must suffice: it has to happen again and again."""
-RATIOS = np.geomspace(1.05, 12, 18) - 1
-"""By which the scatter may grow when moving as usual,"""
-FINER = 6
-"""with so many further ones on either side of the best."""
 STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Further nominal intervals that a late row may contain."""
 SPANS = np.convolve([-1.5, -1.0, -0.5, 0.0, *STALLS, 8.0], [0.5, 0.5], "valid")
 """Edges of a picture's bins, one about each of these, in further nominal intervals."""
 EVEN = np.arange(-1.125, 2.2, 0.25)
 """The same where there are no such lengths."""
-JITTERS = np.geomspace(0.03, 0.6, 10)
-"""Standard deviations of the rows' intervals that are tried, in nominal ones."""
-NODES = np.concatenate([[0.0], *([-z, z] for z in np.arange(0.25, 3.1, 0.25))])
-"""Values of a standard normal variable, the plain one first, over which a row's interval is averaged."""
 HELD = (1, 2, 3, 4)
 """Rows for which a lost command leaves the last one acting."""
+RARE, COMMON = 0.02, 0.3
+"""Shares of rows with which the fit of a component begins, of what acts in few rows and in many."""
+SPREAD = 0.3
+"""Standard deviation of an amplitude, and slope of the noise by the motion, with which their fits begin."""
 
 
-class _Sample(NamedTuple):
+class Robot(NamedTuple):
+    """What is said of it. interval: [s] that rows span by the positions' own advance, which need not be the nominal
+    step; integrated: positions whose velocities are measured; bodies: each one's outputs; subsystems: what may lose its
+    commands together, each with the outputs of its bodies."""
+
+    interval: float
+    time_step: float
+    outputs: tuple[str, ...]
+    integrated: tuple[str, ...]
+    bodies: Mapping[str, Int[np.ndarray, " c"]]
+    subsystems: list[tuple[str, tuple[str, ...]]]
+
+
+class Sample(NamedTuple):
     """One set of sessions under the model of the mean: decorrelated innovations, and what the hypotheses need.
 
-    moving: how fast the robot, and each of its bodies, goes at that, 1 at the usual speed. held: innovations of every
-    row, had an earlier command acted there, for each of the channels' `_subsystems`.
+    moving: how fast the robot, and each of its bodies, goes at that, 1 at the usual speed. advance: what a further
+    interval adds. held: innovations of every row, had an earlier command acted there, for each of the subsystems.
     """
 
     e: Float[np.ndarray, "n s"]
@@ -66,21 +68,91 @@ class _Sample(NamedTuple):
     starts: np.ndarray
 
 
+class _Fitted(NamedTuple):
+    """A hypothesis: its law of any sample, its constants, ln p of the training rows, and the number of constants beyond
+    those of noise without a name."""
+
+    id: str
+    law: Callable[[Sample], Law]
+    mixture: Mixture
+    density: Float[np.ndarray, " n"]
+    constants: int
+    rare: bool = False
+    about: int = 0
+    """Body (0: all) or subsystem."""
+
+
 def of_rows(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
-    """The best word for rows that scatter more than others."""
+    """The best word for rows that scatter more than others, if it is better than noise without a name."""
     training, heldout = (_sample(problem._replace(chunks=c), fit) for c in (problem.chunks, unseen))
-    mine = (problem, fit.noise, training, heldout)
-    rare = [r for r in (_late_rows(*mine), _lost_commands(*mine)) if r is not None]
-    # What has a name of its own goes before scatter that grows; of words for the same rows, the better one.
-    wide = [w for w in (_jitter(*mine), None if rare else _motion(*mine)) if w is not None]
-    return max((*rare, *wide), key=lambda s: s.gain, default=None)
+    return explained(_robot(problem), fit.noise, training, heldout)
 
 
-def _sample(problem: Problem, fit: Fit) -> _Sample:
+def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> Scatter | None:
+    """The same, of samples."""
+    groups = (np.arange(len(robot.outputs)), *(b for b in robot.bodies.values() if 0 < len(b) < len(robot.outputs)))
+    plain = _fit(OTHER, lambda s: Law(groups, s.e[:0, None]), training, row_mixture.of_plain(noise, groups))
+    named = [*_late_rows(plain, training), *_motion(robot, plain, training), *_lost_commands(plain, training)]
+    named = [f for f in named if _certain(f.density - plain.density, training.starts, f.rare)]
+    if not named:
+        return None
+    held = {f.about for f in named if f.id == "dropout"}
+    others = [plain, *(m for i in held for m in _misfit(plain, training, i))]
+    best = {f.id: f for f in sorted([*others, *named], key=_score)}
+    lead = max(best.values(), key=_score)
+    gain = lead.density - plain.density
+    if lead.id == OTHER:
+        return None
+    odds = compared(
+        {k: f.density for k, f in best.items()},
+        {k: f.constants for k, f in best.items()},
+        training.starts,
+        lead.id,
+        float(gain.sum()),
+    )
+    seen = [row_mixture.density(f.law(heldout), heldout.e, f.mixture) for f in (lead, plain)]
+    held_gain = float((seen[0] - seen[1]).sum())
+    if held_gain <= 0:
+        return None
+    said = {"dropout": _lost, "motion_dependent_noise": _wide, "sampling_interval": _late if lead.rare else _uneven}
+    return Scatter(
+        id=lead.id, rare=lead.rare, gain=float(gain.sum()), heldout_gain=held_gain, odds=odds,
+        **said[lead.id](robot, training, lead),
+    )  # fmt: skip
+
+
+def _score(f: _Fitted) -> float:
+    """Log-likelihood less log n / 2 a constant."""
+    return float(f.density.sum()) - 0.5 * f.constants * np.log(max(len(f.density), 1))
+
+
+def _robot(problem: Problem) -> Robot:
+    layout = problem.augmented.layout
+    schema, names = layout.schema, tuple(f.name for f in layout.schema.state)
+    bodies = {b: np.array([i for i, f in enumerate(schema.state) if f.body == b], int) for b in layout.bodies}
+    subsystems = [("", names)]
+    for channels in _subsystems(layout)[1:]:
+        own = {schema.command[c].body for c in channels}
+        subsystems.append((f" of {', '.join(sorted(own))}", tuple(f.name for f in schema.state if f.body in own)))
+    integrated = layout.integrates >= 0
+    interval = float(np.median(problem.scales.interval[integrated])) if integrated.any() else problem.scales.time_step
+    positions = tuple(n for n, own in zip(names, integrated, strict=True) if own)
+    return Robot(interval, problem.scales.time_step, names, positions, bodies, subsystems)
+
+
+def _subsystems(layout: Layout) -> list[list[int]]:
+    """Channels that may lose their commands together: all, or those of one body."""
+    fields = layout.schema.command
+    of_bodies = [[i for i, f in enumerate(fields) if f.body == body] for body in layout.bodies]
+    every = list(range(len(fields)))
+    return [every, *(channels for channels in of_bodies if channels and channels != every)]
+
+
+def _sample(problem: Problem, fit: Fit) -> Sample:
     chunks = problem.chunks
     layout, scales = problem.augmented.layout, problem.scales
     counts = np.asarray(chunks.counts)
-    # As foretold: what was measured in a row holds the row's own noise, and would be large where that is.
+    # As predicted: what was measured in a row holds the row's own noise, and would be large where that is.
     state = (np.asarray(chunks.state)[:, 1:] - raw_innovations(problem, fit.v))[counts]
     speed, moves = np.maximum(scales.speed, 1e-6), scales.speed > 1e-6
     squared = np.asarray(jax.vmap(lambda s: (motion(layout, s).velocity / speed) ** 2 * moves)(jnp.asarray(state)))
@@ -96,11 +168,7 @@ def _sample(problem: Problem, fit: Fit) -> _Sample:
         held.append(row_trials(problem, fit.v, [replaced(theta, delays, theta[delays] + k) for k in HELD]))
     e = evaluate(problem, fit.v, fit.groups, fit.noise).e
     usual = np.quantile(moving, 0.95, axis=0) if len(moving) else np.ones(moving.shape[1])
-    return _Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, held, blocks(counts))
-
-
-def _density(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, " n"]:
-    return log_density(e, noise).sum(1)
+    return Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, held, blocks(counts))
 
 
 def _certain(gain: Float[np.ndarray, " n"], starts: np.ndarray, rare: bool) -> bool:
@@ -114,216 +182,144 @@ def _certain(gain: Float[np.ndarray, " n"], starts: np.ndarray, rare: bool) -> b
     return bool(gain.sum() > OWED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
 
 
-def _claim(
-    name: str, training: _Sample, heldout: _Sample, gain: Callable[[_Sample], np.ndarray], rare: bool, **said: Any
-) -> Scatter | None:
-    g, h = gain(training), gain(heldout)
-    if not _certain(g, training.starts, rare) or h.sum() <= 0:
-        return None
-    return Scatter(id=name, rare=rare, gain=float(g.sum()), heldout_gain=float(h.sum()), **said)
+def _fit(
+    name: str, law: Callable[[Sample], Law], sample: Sample, start: Mixture, constants: int = 0, **more: Any
+) -> _Fitted:
+    mixture, density = row_mixture.fitted(law(sample), sample.e, start)
+    return _Fitted(name, law, mixture, density, constants, **more)
 
 
-def _motion(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
-    """All outputs by all motion, or a body's by its own: the one of these that gains most."""
-    fields, bodies = problem.augmented.simulator.schema.state, problem.augmented.layout.bodies
-    of_bodies = [np.array([i for i, f in enumerate(fields) if f.body == body], int) for body in bodies]
-    places = [np.arange(len(fields)), *of_bodies]
-    found = [
-        _widening(problem, noise, training, heldout, k, columns)
-        for k, columns in enumerate(places)
-        if k == 0 or 0 < len(columns) < len(fields)
-    ]
-    return max((f for f in found if f is not None), key=lambda s: s.gain, default=None)
+def _groups(plain: _Fitted, sample: Sample) -> tuple[Int[np.ndarray, " g"], ...]:
+    return plain.law(sample).groups
 
 
-def _widening(
-    problem: Problem, noise: Noise, training: _Sample, heldout: _Sample, k: int, columns: Int[np.ndarray, " c"]
-) -> Scatter | None:
-    """Scale of some outputs times (1 + c m), m the motion k: the ratio is that of moving as usual to standing still."""
-    plain = Noise(noise.scale[columns], noise.dof[columns])
+def _late_rows(plain: _Fitted, sample: Sample) -> list[_Fitted]:
+    """Rows in which the robot moved on for longer than the nominal interval, or for an uneven time, all positions
+    alike."""
+    if not sample.advance.any():
+        return []
+    groups = _groups(plain, sample)
+    late = lambda s: Law(groups, STALLS[:, None, None] * s.advance)  # noqa: E731
+    uneven = lambda s: Law(groups, s.advance[None], free=True, everywhere=True, centred=True)  # noqa: E731
+    begun = row_mixture.with_shifts(plain.mixture, np.full(len(STALLS), RARE))
+    every = row_mixture.with_shifts(plain.mixture, np.array([1 - COMMON]))._replace(mean=0.0, sd=SPREAD)
+    stalls = _fit("sampling_interval", late, sample, begun, rare=True)
+    stalls = stalls._replace(constants=int((stalls.mixture.shares[-len(STALLS) :] * len(sample.e) >= 1).sum()))
+    return [stalls, _fit("sampling_interval", uneven, sample, every, 1)]
 
-    def density(sample: _Sample, c: float, noise: Noise | None = None) -> tuple[Float[np.ndarray, " n"], Noise]:
-        wide = 1 + c * sample.moving[:, k, None]
-        e = sample.e[:, columns] / wide
-        noise = noise or fit_noise(e)
-        return _density(e, noise) - len(columns) * np.log(wide[:, 0]), noise
 
-    def best_of(ratios: Float[np.ndarray, " r"]) -> tuple[int, Float[np.ndarray, " r"]]:
-        logliks = np.array([density(training, c)[0].sum() for c in ratios])
-        return int(logliks.argmax()), logliks
+def _motion(robot: Robot, plain: _Fitted, sample: Sample) -> list[_Fitted]:
+    """Noise of all outputs by all motion, or of a body's by its own."""
+    groups, found = _groups(plain, sample), []
+    for k, columns in enumerate([np.arange(len(robot.outputs)), *robot.bodies.values()]):
+        if k and not 0 < len(columns) < len(robot.outputs):
+            continue
+        own = np.isin(np.arange(len(robot.outputs)), columns)
+        law = lambda s, k=k, own=own: Law(groups, s.e[:0, None], moving=s.moving[:, [k]] * own)  # noqa: E731
+        found.append(_fit("motion_dependent_noise", law, sample, plain.mixture._replace(slope=SPREAD), 1, about=k))
+    return found
 
-    at, _ = best_of(RATIOS)
-    finer = np.linspace(RATIOS[max(at - 1, 0)], RATIOS[min(at + 1, len(RATIOS) - 1)], 2 * FINER + 1)
-    at, logliks = best_of(finer)
-    c, inside = float(finer[at]), finer[logliks > logliks[at] - 2]
-    _, fitted = density(training, c)
-    gain = lambda sample: density(sample, c, fitted)[0] - _density(sample.e[:, columns], plain)  # noqa: E731
-    constant = {
-        "name": "ratio",
-        "value": 1 + c,
-        "unit": "-",
-        "ci95": [1 + float(inside.min()), 1 + float(inside.max())],
-    }
-    names = _all(problem)
-    where = "" if len(columns) == len(names) else f" of {problem.augmented.layout.bodies[k - 1]}"
-    return _claim(
-        "motion_dependent_noise", training, heldout, gain, rare=False, constants=[constant],
-        shown=Widening(training.e[:, columns], fitted, training.moving[:, k], 1 + c),
-        outputs=tuple(names[i] for i in columns),
-        statement=f"The scatter{where} grows with the motion: {1 + c:.1f} times as wide when moving as at rest; error "
-        "bars are wrong, not means.",
+
+def _held(groups: tuple[Int[np.ndarray, " g"], ...], i: int, free: bool) -> Callable[[Sample], Law]:
+    return lambda s: Law(groups, s.e - s.held[i], bursts=True, free=free)
+
+
+def _lost_commands(plain: _Fitted, sample: Sample) -> list[_Fitted]:
+    """Rows in which an earlier command acts instead of the one sent, by subsystem."""
+    begun = row_mixture.with_shifts(plain.mixture, np.full(len(HELD), RARE))
+    groups, number = _groups(plain, sample), range(len(sample.held))
+    return [_fit("dropout", _held(groups, i, False), sample, begun, len(HELD), rare=True, about=i) for i in number]
+
+
+def _misfit(plain: _Fitted, sample: Sample, i: int) -> list[_Fitted]:
+    """Rows that are moved as by lost commands, but by another share of it: what a response to commands does that
+    differs a little from the model's.
+
+    Either few rows by about the whole of it, or many by about nothing.
+    """
+    law = _held(_groups(plain, sample), i, True)
+    few = row_mixture.with_shifts(plain.mixture, np.full(len(HELD), RARE))._replace(mean=1.0, sd=SPREAD)
+    many = row_mixture.with_shifts(plain.mixture, np.array([COMMON, *[RARE] * (len(HELD) - 1)]))
+    many = many._replace(mean=0.0, sd=SPREAD)
+    return [_fit(OTHER, law, sample, begun, len(HELD) + 2) for begun in (few, many)]
+
+
+def _constant(sample: Sample, f: _Fitted, name: str, unit: str, of: Callable[[Mixture], float]) -> dict[str, Any]:
+    interval = row_mixture.interval(f.law(sample), sample.e, f.mixture, sample.starts, of)
+    return {"name": name, "value": of(f.mixture), "unit": unit, "ci95": interval}
+
+
+def _late(robot: Robot, training: Sample, f: _Fitted) -> dict[str, Any]:
+    last = len(STALLS)
+    share = _constant(training, f, "share of stalls", "-", lambda m: float(m.shares[-last:].sum()))
+    length = _constant(
+        training, f, "length of stalls", "s",
+        lambda m: robot.interval * float(1 + m.shares[-last:] @ STALLS / m.shares[-last:].sum()),
     )  # fmt: skip
+    several = [training.e, *(training.e - k * training.advance for k in STALLS)]
+    return {
+        "constants": [share, length], "outputs": robot.integrated,
+        "shown": _spans(robot, several, training, _of_shifts(f.mixture, last), f.mixture.noise, SPANS),
+        "statement": f"Rows are not evenly spaced in time: {share['value']:.0%} of them hold a stall and span about "
+        f"{length['value']:.2f} s of motion.",
+    }  # fmt: skip
 
 
-class _Mixture(NamedTuple):
-    shares: Float[np.ndarray, " k"]
-    noise: Noise
-    chance: Float[np.ndarray, "n k"]
-
-
-def _mix(e: list[np.ndarray], noise: Noise) -> _Mixture:
-    """Expectation maximisation of rows that follow one of several innovations; the first is the plain one."""
-    shares = np.full(len(e), 0.02)
-    shares[0] = 1 - shares[1:].sum()
-    chance = np.zeros((len(e[0]), len(e)))
-    for _ in range(15):
-        chance = _chance(_joint(e, shares, noise))
-        shares = np.maximum(chance.mean(0), 1e-9)
-        chosen = chance.argmax(1)
-        noise = fit_noise(np.stack(e)[chosen, np.arange(len(chosen))])
-    return _Mixture(shares, noise, chance)
-
-
-def _joint(e: list[np.ndarray], shares: Float[np.ndarray, " k"], noise: Noise) -> Float[np.ndarray, "n k"]:
-    """Log-density of every row together with the innovations that it follows."""
-    return np.stack([_density(x, noise) for x in e], axis=1) + np.log(shares)
-
-
-def _chance(joint: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Which innovations a row follows, given the row."""
-    return np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
-
-
-def _mixed_gain(mixture: _Mixture, e: list[np.ndarray], noise: Noise) -> np.ndarray:
-    return logsumexp(_joint(e, mixture.shares, mixture.noise), axis=1) - _density(e[0], noise)
-
-
-def _late_rows(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
-    """Rows in which the robot moved on for longer than the nominal interval, all positions alike."""
-    several = lambda s: [s.e, *(s.e - k * s.advance for k in STALLS)]  # noqa: E731
-    mixture = _mix(several(training), noise)
-    share = float(mixture.shares[1:].sum())
-    longer = float(mixture.shares[1:] @ STALLS / max(share, 1e-9))
-    interval = _interval(problem)
-    length = interval * (1 + longer)
-    sd = np.sqrt(share * (1 - share) / len(training.e))
-    constants = [
-        {"name": "share of stalls", "value": share, "unit": "-", "ci95": [max(share - 2 * sd, 0.0), share + 2 * sd]},
-        {"name": "length of stalls", "value": length, "unit": "s", "ci95": [length * 0.8, length * 1.2]},
-    ]
-    return _claim(
-        "sampling_interval", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True,
-        constants=constants, outputs=_integrated(problem),
-        shown=_spans(interval, several(training), training, mixture, SPANS),
-        statement="Rows are not evenly spaced in time: "
-        f"{share:.0%} of them hold a stall and span about {length:.2f} s of motion.",
-    )  # fmt: skip
-
-
-def _jitter(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
-    """Rows that span more or less than the nominal interval, each by chance, all positions alike."""
-    shares = np.exp(-0.5 * NODES**2)
-    shares /= shares.sum()
-    at = lambda s, sd: [s.e - sd * z * s.advance for z in NODES]  # noqa: E731
-    drawn = np.random.default_rng(0).random(len(training.e))
-
-    def fitted(sd: float) -> _Mixture:
-        several, then = at(training, sd), noise
-        chance = np.tile(shares, (len(drawn), 1))
-        for _ in range(4):
-            chance = _chance(_joint(several, shares, then))
-            # The likeliest would make the noise too small: one is drawn for each row.
-            one = np.minimum((chance.cumsum(1) < drawn[:, None]).sum(1), len(NODES) - 1)
-            then = fit_noise(np.stack(several)[one, np.arange(len(one))])
-        return _Mixture(shares, then, chance)
-
-    mixtures = [fitted(sd) for sd in JITTERS]
-    gains = np.array([_mixed_gain(m, at(training, sd), noise).sum() for m, sd in zip(mixtures, JITTERS, strict=True)])
-    best = int(gains.argmax())
-    sd, inside = float(JITTERS[best]), JITTERS[gains > gains[best] - 2]
-    interval = _interval(problem)
-    constant = {"name": "jitter", "value": sd * interval, "unit": "s",
-                "ci95": [float(inside.min()) * interval, float(inside.max()) * interval]}  # fmt: skip
-    return _claim(
-        "sampling_interval", training, heldout, lambda s: _mixed_gain(mixtures[best], at(s, sd), noise), rare=False,
-        constants=[constant], outputs=_integrated(problem),
-        shown=_spans(interval, at(training, sd), training, mixtures[best], EVEN),
-        statement=f"Rows are not evenly spaced in time: the time that they span scatters by {sd * interval:.3f} s.",
-    )  # fmt: skip
+def _uneven(robot: Robot, training: Sample, f: _Fitted) -> dict[str, Any]:
+    jitter = _constant(training, f, "jitter", "s", lambda m: m.sd * robot.interval)
+    nodes = np.linspace(-3, 3, 25)
+    shares = np.exp(-0.5 * nodes**2)
+    several = [training.e - f.mixture.sd * z * training.advance for z in nodes]
+    return {
+        "constants": [jitter], "outputs": robot.integrated,
+        "shown": _spans(robot, several, training, shares / shares.sum(), f.mixture.noise, EVEN),
+        "statement": "Rows are not evenly spaced in time: the time that they span scatters by "
+        f"{jitter['value']:.3f} s.",
+    }  # fmt: skip
 
 
 def _spans(
-    interval: float, several: list[np.ndarray], training: _Sample, mixture: _Mixture, edges: Float[np.ndarray, " b"]
+    robot: Robot, several: list[np.ndarray], training: Sample, shares: np.ndarray, noise: Noise, edges: np.ndarray
 ) -> Between:
     """The time that rows span, by how far the robot went in them."""
-    axis = Axis("time a row spans, by the way covered [s]", interval, interval, edges)
-    return Between(several, training.advance, mixture.shares, mixture.noise, axis)
+    axis = Axis("time a row spans, by the way covered [s]", robot.interval, robot.interval, edges)
+    return Between(several, training.advance, shares, noise, axis)
 
 
-def _interval(problem: Problem) -> float:
-    """Time [s] that rows span by the positions' own advance, which need not be the nominal step."""
-    return float(np.median(problem.scales.interval[problem.augmented.layout.integrates >= 0]))
+def _of_shifts(mixture: Mixture, number: int) -> Float[np.ndarray, " k"]:
+    """Shares of the rows that are not shifted, and of those that are."""
+    return np.append(mixture.shares[:-number].sum(), mixture.shares[-number:])
 
 
-def _integrated(problem: Problem) -> tuple[str, ...]:
-    """Positions whose velocities are measured."""
-    augmented = problem.augmented
-    fields = augmented.simulator.schema.state
-    return tuple(f.name for f, v in zip(fields, augmented.layout.integrates, strict=True) if v >= 0)
+def _wide(robot: Robot, training: Sample, f: _Fitted) -> dict[str, Any]:
+    law = f.law(training)
+    assert law.moving is not None  # its noise grows with the motion
+    columns = np.flatnonzero(law.moving.any(0))
+    names = tuple(robot.outputs[i] for i in columns)
+    where = "" if f.about == 0 else f" of {list(robot.bodies)[f.about - 1]}"
+    ratio = _constant(training, f, "ratio", "-", lambda m: 1 + m.slope)
+    noise = Noise(f.mixture.noise.scale[columns], f.mixture.noise.dof[columns])
+    return {
+        "constants": [ratio], "outputs": names,
+        "shown": Widening(training.e[:, columns], noise, training.moving[:, f.about], ratio["value"]),
+        "statement": f"The scatter{where} grows with the motion: {ratio['value']:.1f} times as wide when moving as at "
+        "rest; error bars are wrong, not means.",
+    }  # fmt: skip
 
 
-def _subsystems(layout: Layout) -> list[list[int]]:
-    """Channels that may lose their commands together: all, or those of one body."""
-    fields = layout.schema.command
-    of_bodies = [[i for i, f in enumerate(fields) if f.body == body] for body in layout.bodies]
-    every = list(range(len(fields)))
-    return [every, *(channels for channels in of_bodies if channels and channels != every)]
-
-
-def _lost_commands(problem: Problem, noise: Noise, training: _Sample, heldout: _Sample) -> Scatter | None:
-    """Rows in which an earlier command acts instead of the one sent: of the subsystems, the one that gains most."""
-    subsystems = _subsystems(problem.augmented.layout)
-    found = [_held(problem, noise, training, heldout, i, channels) for i, channels in enumerate(subsystems)]
-    return max((f for f in found if f is not None), key=lambda s: s.gain, default=None)
-
-
-def _held(
-    problem: Problem, noise: Noise, training: _Sample, heldout: _Sample, i: int, channels: list[int]
-) -> Scatter | None:
-    several = lambda s: [s.e, *s.held[i]]  # noqa: E731
-    mixture = _mix(several(training), noise)
-    minutes = len(training.e) * problem.scales.time_step / 60
-    begins = float(mixture.chance[:, 1].sum())
-    rate = begins / minutes
-    length = problem.scales.time_step * float(mixture.shares[1:].sum() / max(mixture.shares[1], 1e-9))
-    sd = np.sqrt(max(begins, 1.0)) / minutes
-    constants = [
-        {"name": "rate", "value": rate, "unit": "1/min", "ci95": [max(rate - 2 * sd, 0.0), rate + 2 * sd]},
-        {"name": "length", "value": length, "unit": "s", "ci95": [length * 0.7, length * 1.4]},
-    ]
-    schema, names = problem.augmented.simulator.schema, _all(problem)
-    bodies = {schema.command[c].body for c in channels}
-    some = i > 0  # the first are all of them
-    of = f" of {', '.join(sorted(bodies))}" if some else ""
-    return _claim(
-        "dropout", training, heldout, lambda s: _mixed_gain(mixture, several(s), noise), rare=True, constants=constants,
-        shown=Between(several(training), training.e - training.held[i][0], mixture.shares, mixture.noise,
-                      Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)),
-        outputs=tuple(f.name for f in schema.state if f.body in bodies) if some else names,
-        statement=f"Commands{of} are lost now and then ({rate:.1f} times a minute, for about {length:.2f} s), and the "
-        "last one acts on.",
+def _lost(robot: Robot, training: Sample, f: _Fitted) -> dict[str, Any]:
+    last, held = len(HELD), training.held[f.about]
+    rate = _constant(training, f, "rate", "1/min", lambda m: 60 / robot.time_step * float(m.shares[-last]))
+    length = _constant(
+        training, f, "length", "s",
+        lambda m: robot.time_step * float(m.shares[-last:].sum() / max(m.shares[-last], 1e-9)),
     )  # fmt: skip
-
-
-def _all(problem: Problem) -> tuple[str, ...]:
-    return tuple(f.name for f in problem.augmented.simulator.schema.state)
+    of, outputs = robot.subsystems[f.about]
+    axis = Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)
+    shares = _of_shifts(f.mixture, last)
+    return {
+        "constants": [rate, length], "outputs": outputs,
+        "shown": Between([training.e, *held], training.e - held[0], shares, f.mixture.noise, axis),
+        "statement": f"Commands{of} are lost now and then ({rate['value']:.1f} times a minute, for about "
+        f"{length['value']:.2f} s), and the last one acts on.",
+    }  # fmt: skip

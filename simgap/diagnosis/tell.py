@@ -1,6 +1,6 @@
 """A diagnosis as it is told: the statement that becomes diagnosis.json, and the numbers behind its pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,7 +84,7 @@ def statement(
         "located": _located(found, sessions, outcome, left),
         "effects": effects, "something_else": concluded.something_else,
         "resembles": doubtful, "left_over": _left(found, left), "law": _law(found),
-        "alternatives": _alternatives(found.members),
+        "alternatives": _alternatives(found),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
         "parameters": _parameters(found) | {"moved": concluded.parameters_moved},
@@ -187,10 +187,21 @@ def _depends_on(found: Explanation, left: LeftOver) -> list[dict[str, Any]]:
     return [{"input": i, "share": s} for i, s in sorted(depends, key=lambda d: -d[1]) if s > 0]
 
 
+def _credible(odds: Mapping[str, float]) -> list[str]:
+    """The likeliest ids that hold `CREDIBLE` of the probability together."""
+    cumulative, credible = 0.0, []
+    for effect, p in odds.items():
+        credible.append(effect)
+        cumulative += p
+        if cumulative >= CREDIBLE:
+            break
+    return credible
+
+
 def _scattered(s: Scatter) -> dict[str, Any]:
     return {
-        "id": s.id, **SCATTERED, "probability": 1.0, "channels": [], "outputs": list(s.outputs),
-        "statement": s.statement, "constants": s.constants, "credible_set": [s.id], "gain_nats": s.gain,
+        "id": s.id, **SCATTERED, "probability": s.odds[s.id], "channels": [], "outputs": list(s.outputs),
+        "statement": s.statement, "constants": s.constants, "credible_set": _credible(s.odds), "gain_nats": s.gain,
         "heldout_gain_nats": s.heldout_gain, "from_s": None, "regime": None,
     }  # fmt: skip
 
@@ -198,25 +209,17 @@ def _scattered(s: Scatter) -> dict[str, Any]:
 def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> dict[str, Any]:
     problem, candidate = found.problem, member.candidate
     constants = confidence.constants(problem, found.fit, candidate, found.sd, member.gain)
-    cumulative, credible = 0.0, []
-    for effect, p in member.odds.items():
-        credible.append(effect)
-        cumulative += p
-        if cumulative >= CREDIBLE:
-            break
     outputs = candidate.outputs or tuple(f.name for f in problem.augmented.simulator.schema.state)
     when = member.when
     if when is not None and candidate.effect.event:
-        step = problem.scales.time_step
-        constants += [{"name": n, "value": t, "unit": "s", "ci95": [t - 3 * step, t + 3 * step]}
-                      for n, t in (("from", when.from_s), ("to", when.to_s))]  # fmt: skip
+        constants += confidence.edges(problem, found.fit, candidate, when)
     regime = rule(problem.augmented.layout, when.regime) if when is not None and when.regime is not None else None
     during = words.during(when, fitted[when.session].name if when and when.session is not None else None, regime)
     return {
         "id": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where,
         "probability": member.odds[candidate.effect.id], "channels": list(candidate.channels),
         "outputs": list(outputs), "statement": words.effect(candidate, constants) + during, "constants": constants,
-        "credible_set": credible, "gain_nats": member.gain,
+        "credible_set": _credible(member.odds), "gain_nats": member.gain,
         "heldout_gain_nats": gain(problem, found.unseen, evaluate(problem, member.without.v, ()), found.fit),
         "from_s": when.from_s if when is not None and regime is None else None, "regime": regime,
     }  # fmt: skip
@@ -242,14 +245,15 @@ def _intervals(found: Explanation, where: locate.Excess, fitted: Sequence[Record
     return told or locate.intervals(where, fitted)
 
 
-def _alternatives(members: Sequence[Member]) -> list[dict[str, Any]]:
-    """Other sets: one member replaced by what could stand in its place."""
-    ids = [m.candidate.effect.id for m in members]
+def _alternatives(found: Explanation) -> list[dict[str, Any]]:
+    """Other sets: one effect replaced by what could stand in its place."""
+    odds = [(m.candidate.effect.id, m.odds) for m in found.members] + [(s.id, s.odds) for s in found.scattered]
+    ids = [effect for effect, _ in odds]
     return [
         {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}
-        for i, m in enumerate(members)
-        for other, p in m.odds.items()
-        if other != ids[i] and p > 0.001
+        for i, (own, each) in enumerate(odds)
+        for other, p in each.items()
+        if other != own and p > 0.001
     ]
 
 
