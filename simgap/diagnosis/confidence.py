@@ -50,9 +50,8 @@ def spread(
     sandwich = inverse @ (score @ score.T) @ inverse
     sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
     p, sizes = len(fit.v.phi), np.array([group.scale for group in fit.groups])
-    return Spread(
-        sd[:p] * spans(problem), sd[len(nuisance) :] * sizes, np.abs(columns[:p]).max((1, 2), initial=0.0) > 0
-    )
+    seen = np.abs(columns[:p]).max((1, 2), initial=0.0) > 0
+    return Spread(sd[:p] * spans(problem), sd[len(nuisance) :] * sizes, seen)
 
 
 def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:

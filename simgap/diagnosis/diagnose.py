@@ -76,9 +76,10 @@ def diagnose(
     seen = sensitivity(problem, found.rounds[0].screening, candidates(problem.augmented, problem.scales))
     outcome = tell.Outcome(contestants, judged, seen, conclude(found, judged, seen, rng))
     say("looking for the experiment that would tell explanations apart")
-    plan = _experiment(found, training)
+    plan, none = _experiment(found, training)
     sessions = tell.Sessions(training, heldout, baseline)
     statement = tell.statement(name, found, sessions, outcome, plan, rng)
+    statement["notes"] += none
     evidence = tell.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
     return Diagnosis(statement, evidence, _model(found), commands)
@@ -120,14 +121,17 @@ def _judged(
     )  # fmt: skip
 
 
-def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan | None:
-    """For the least certain effect, what would tell it from its rival."""
+def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[tell.Plan | None, list[str]]:
+    """For the least certain effect, what would separate it from its rival; or a note why nothing does."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
     if not contested:
-        return None
+        return None, []
     member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
-    designed = experiment.design(found.problem, found.fit, rival.fit, found.regime, list(training))
-    return designed and tell.Plan(designed, (member.candidate.effect.id, rival.candidate.effect.id))
+    about, ids = [member.candidate, rival.candidate], (member.candidate.effect.id, rival.candidate.effect.id)
+    designed = experiment.design(found.problem, found.fit, rival.fit, about, found.regime, list(training))
+    if isinstance(designed, experiment.NoExperiment):
+        return None, [f"No experiment is proposed to separate {' from '.join(ids)}: {designed.reason}."]
+    return tell.Plan(designed, ids), []
 
 
 def _model(found: Explanation) -> AugmentedModel:

@@ -1,24 +1,30 @@
 """The short command sequence that would tell two explanations apart, within what the robot was seen to do."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from simgap.diagnosis.black_box import silent
-from simgap.diagnosis.fit import Fit, Problem
+from simgap.diagnosis.candidates import Candidate
+from simgap.diagnosis.fit import Fit, Problem, evaluate, log_density
 from simgap.diagnosis.forecast import forecast
-from simgap.diagnosis.innovations import RUN_IN, as_chunks, sent_before
+from simgap.diagnosis.innovations import LENGTH, RUN_IN, as_chunks, cut, sent_before
+from simgap.diagnosis.restricted import inside
 from simgap.effects.regime import Regime
 from simgap.layout import motion
 from simgap.types import Recording
 
 SECONDS = 6.0
 MARGIN = 0.1
-"""Share by which a sequence may leave the recorded range of reach and height."""
+"""Share by which a sequence may leave the recorded range of reach, height and velocities."""
+CLEAR = 3.0
+"""Times the noise of an output by which a sequence must move it."""
+SETTLED = float(np.log(20))
+"""Nats that settle a question: odds of 20 to 1."""
 
 
 class Experiment(NamedTuple):
@@ -30,33 +36,99 @@ class Experiment(NamedTuple):
     nats: float
 
 
-def design(problem: Problem, a: Fit, b: Fit, regime: Regime, recordings: list[Recording]) -> Experiment | None:
+class NoExperiment(NamedTuple):
+    """Why no sequence of commands is proposed."""
+
+    reason: str
+
+
+def design(
+    problem: Problem, a: Fit, b: Fit, about: Sequence[Candidate], regime: Regime, recordings: list[Recording]
+) -> Experiment | NoExperiment:
     """The sequence, of a library of steps, reversals, ramps and sweeps of each command, that separates a from b most.
 
-    None where no sequence stays within the robot's recorded reach.
+    `about`: the effects in question. The sequence commands one of their channels and moves one of their outputs, within
+    what was recorded of the robot.
     """
-    dt = problem.scales.time_step
-    rows = max(int(SECONDS / dt), 40)
+    dt, schema = problem.scales.time_step, problem.augmented.simulator.schema
+    rows = max(int(SECONDS / dt), LENGTH)
+    channels = {c for candidate in about for c in candidate.channels} or {f.name for f in schema.command}
+    outputs = {o for candidate in about for o in candidate.outputs} or {f.name for f in schema.state}
     limits = np.max([np.abs(r.command).max(0) for r in recordings], axis=0)
-    library = list(_library(problem, rows, limits))
-    state = _at_rest(recordings)
-    still = np.zeros((RUN_IN, len(limits)))
+    asked = np.array([f.name in channels for f in schema.command], bool)
+    library = [(words, u) for words, u in _library(problem, rows, limits) if u[:, asked].any()]
+    if not library:
+        return NoExperiment("nothing can be commanded that these explanations depend on")
+    seen = _forecast(problem, a, [u for _, u in library], regime, recordings)
+    possible = _within(problem, seen, recordings)
+    if not possible.any():
+        return NoExperiment("no sequence of commands keeps the simulated robot within what was recorded")
+    possible &= _moves(problem, a, seen, [f.name in outputs for f in schema.state])
+    if not possible.any():
+        return NoExperiment(f"no sequence of commands moves {', '.join(sorted(outputs))} clearly beyond the noise")
+    apart = np.where(possible, 0.0, -np.inf)
+    apart[possible] = _apart(problem, a, b, [(seen[i], library[i][1]) for i in np.flatnonzero(possible)], regime)
+    best = int(np.argmax(apart))
+    if apart[best] < SETTLED:
+        return NoExperiment(
+            f"the best sequence of commands would separate them by {max(apart[best], 0.0):.1f} nats only"
+        )
+    words, commands = library[best]
+    return Experiment(np.arange(rows) * dt, commands, words, float(apart[best]))
+
+
+def _forecast(
+    problem: Problem, fit: Fit, commands: list[np.ndarray], regime: Regime, recordings: list[Recording]
+) -> Float[np.ndarray, "n t s"]:
+    """What a model would measure under sequences of commands, from rest."""
+    rows, dt = len(commands[0]), problem.scales.time_step
+    state, still = _at_rest(recordings), np.zeros((RUN_IN, commands[0].shape[1]))
     parts = [
         (np.repeat(state[None], RUN_IN + rows + 1, 0), np.concatenate([still, u, u[-1:]]),
          *sent_before(still, 0), np.arange(RUN_IN + rows + 1) * dt, np.ones(RUN_IN + rows + 1),
          np.ones(RUN_IN + rows, bool), np.ones(RUN_IN + rows + 1), 0, 0)
-        for _, u in library
+        for u in commands
     ]  # fmt: skip
-    pieces = as_chunks(parts)
     box = silent(problem.augmented.layout)
-    seen = [forecast(problem.augmented, problem.scales, f.v, pieces, box, regime) for f in (a, b)]
-    apart = 0.5 * (((seen[0] - seen[1]) @ problem.whiten.T / a.noise.scale) ** 2).sum((1, 2))
-    apart[~_within(problem, seen[0], recordings)] = -1.0
-    best = int(np.nanargmax(apart))
-    if not apart[best] > 0:
-        return None
-    words, commands = library[best]
-    return Experiment(np.arange(rows) * dt, commands, words, float(apart[best]))
+    return forecast(problem.augmented, problem.scales, fit.v, as_chunks(parts), box, regime)
+
+
+def _moves(
+    problem: Problem, fit: Fit, states: Float[np.ndarray, "n t s"], asked: Sequence[bool]
+) -> Bool[np.ndarray, " n"]:
+    """Which forecasts move one of the outputs in question clearly beyond its noise."""
+    noise = 1.4826 * np.median(np.abs(fit.e @ np.linalg.inv(problem.whiten).T), axis=0)
+    return (np.ptp(states, axis=1) > CLEAR * noise)[:, np.array(asked)].any(1)
+
+
+def _apart(
+    problem: Problem, a: Fit, b: Fit, simulated: Sequence[tuple[np.ndarray, np.ndarray]], regime: Regime
+) -> Float[np.ndarray, " n"]:
+    """Log-likelihood ratio [nats] of a over b on what a would measure, by the noise that the recordings leave a.
+
+    Row by row, as recordings are judged: errors that only add up over seconds are no evidence. -inf where b leaves the
+    finite numbers.
+    """
+    dt, least = problem.scales.time_step, len(problem.chunks.row)
+    # What a measures after a row's command comes with the next one.
+    sessions = [
+        Recording(str(i), np.arange(len(u)) * dt, y, np.concatenate([u[1:], u[-1:]]))
+        for i, (y, u) in enumerate(simulated)
+    ]
+    at_once = max(least // -(-len(sessions[0].time_s) // LENGTH), 1)
+    found = []
+    for first in range(0, len(sessions), at_once):
+        chunks = cut(sessions[first : first + at_once], dt, least)
+        gate = np.asarray(inside(problem.augmented.layout, regime, chunks), np.float32)
+        there = problem._replace(chunks=chunks._replace(gate=gate))
+        ends = np.cumsum(np.asarray(chunks.counts).sum(1))
+        of = np.repeat(chunks.session, np.diff(ends, prepend=0))
+        ours, theirs = (evaluate(there, f.v, (), a.noise) for f in (a, b))
+        with np.errstate(invalid="ignore", over="ignore"):
+            nats = (log_density(ours.e, a.noise) - log_density(theirs.e, a.noise)).sum(1)
+        total = np.bincount(of, nats, len(sessions[first : first + at_once]))
+        found.append(np.where(np.isfinite(total), total, -np.inf))
+    return np.concatenate(found)
 
 
 def _library(problem: Problem, rows: int, limits: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
@@ -93,15 +165,25 @@ def _at_rest(recordings: list[Recording]) -> Float[np.ndarray, " s"]:
     return r.state[int(np.argmin(size))]
 
 
-def _within(problem: Problem, states: Float[np.ndarray, "n t s"], recordings: list[Recording]) -> np.ndarray:
-    """Which forecasts keep the bodies' own positions in the recorded range."""
+def _within(
+    problem: Problem, states: Float[np.ndarray, "n t s"], recordings: list[Recording]
+) -> Bool[np.ndarray, " n"]:
+    """Which forecasts keep velocities, and the bodies' own positions where they are mounted, in the recorded range."""
     layout = problem.augmented.layout
+    every = np.concatenate([r.state for r in recordings])
+    fast = [i for i, f in enumerate(layout.schema.state) if f.kind == "velocity"]
+    possible = np.asarray(np.isfinite(states).all((1, 2)) & _in_range(states[..., fast], every[:, fast]))
     if not any(c is not None for c in layout.carrier):
-        return np.asarray(np.isfinite(states).all((1, 2)))
+        return possible
     own = jax.jit(jax.vmap(lambda s: motion(layout, s).position))
-    recorded = np.asarray(own(jnp.asarray(np.concatenate([r.state for r in recordings]), jnp.float32)))
+    recorded = np.asarray(own(jnp.asarray(every, jnp.float32)))
+    positions = np.asarray(own(jnp.asarray(states.reshape(-1, states.shape[-1]))))
+    kept = _in_range(positions.reshape(*states.shape[:2], -1), recorded.reshape(len(recorded), -1))
+    return possible & kept
+
+
+def _in_range(values: Float[np.ndarray, "n t k"], recorded: Float[np.ndarray, "m k"]) -> Bool[np.ndarray, " n"]:
+    """Which series keep all values within the range of what was recorded, or little beyond."""
     low, high = recorded.min(0), recorded.max(0)
     slack = MARGIN * (high - low)
-    positions = np.asarray(own(jnp.asarray(states.reshape(-1, states.shape[-1]))))
-    inside = ((positions >= low - slack) & (positions <= high + slack)).all((1, 2))
-    return inside.reshape(states.shape[:2]).all(1)
+    return np.asarray(((values >= low - slack) & (values <= high + slack)).all((1, 2)))

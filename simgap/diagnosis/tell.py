@@ -314,7 +314,6 @@ def _notes(found: Explanation, sessions: Sessions) -> list[str]:
     if untested := _untested(found):
         notes.append(f"Could not test {', '.join(untested)}: the simulator leaves the finite numbers there.")
     if len(sessions.heldout) < judge.LEAST_SESSIONS:
-        notes.append(
-            "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
-        )
+        few = "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
+        notes.append(few)
     return notes

@@ -187,7 +187,7 @@ EFFECTS = (
     Effect(
         "delay", "command",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(HISTORY_ROWS)),),
-        channel_sites, _fixed(0.5, 1.0, 2.0, 3.5), _delay,
+        channel_sites, _fixed(0.5, 1.0, 2.0, 3.5, 5.0, 7.0), _delay,
         "dead time: commands act {delay} after they are sent", tie="any",
     ),
     Effect(
@@ -243,7 +243,7 @@ EFFECTS = (
     Effect(
         "lag", "filter",
         (Constant("time constant", "s", lambda c, site, scales: c * scales.time_step, 0.0, 30.0),),
-        channel_sites, _fixed(0.6, 1.5, 4.5), _lag,
+        channel_sites, _fixed(0.6, 1.5, 4.5, 13.0), _lag,
         "lag: a further first-order response with time constant {time constant} lies between command and motion",
         tie="any",
     ),

@@ -65,7 +65,7 @@ EFFECTS = (
     Effect(
         "sensor_delay", "sensing",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(SENSED_ROWS)),),
-        _sensor_sites, lambda scales, site: [[0.5], [1.5]], _delay,
+        _sensor_sites, lambda scales, site: [[rows + 0.5] for rows in range(SENSED_ROWS)], _delay,
         "measurements are {delay} older than their time stamp", tie="any",
     ),
     Effect(

@@ -1,0 +1,113 @@
+"""An experiment moves what its question is about, within what was recorded, or there is none and a reason why."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_numerics import known, optimised, posed
+from test_ranges import driven
+
+from examples.drive import PARAMETERS, Drive
+from simgap.diagnosis.experiment import SETTLED, Experiment, NoExperiment, design
+from simgap.diagnosis.fit import evaluate
+from simgap.diagnosis.screen import vary
+from simgap.diagnosis.search import Model
+from simgap.effects.regime import EVERYWHERE
+from simgap.types import Field, Parameter, Recording, Schema
+
+
+def _cart(body: str) -> tuple[Field, Field]:
+    position = Field(f"{body}_p", "m", "position", "world", body, "x")
+    return position, Field(f"{body}_v", "m/s", "velocity", "world", body, "x")
+
+
+SCHEMA = Schema(
+    state=(*_cart("left"), *_cart("right")),
+    command=tuple(Field(f"cmd_{body}", "N", "force", "world", body, "x") for body in ("left", "right")),
+)
+ALONE = Schema(state=_cart("left"), command=())
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two drives side by side that have nothing to do with each other."""
+
+    time_step: float = 0.02
+    schema: Schema = SCHEMA
+    parameters: tuple[Parameter, ...] = PARAMETERS
+
+    def step(self, params, state, command):
+        one = Drive(self.time_step).step
+        return jnp.concatenate([one(params, state[:2], command[:1]), one(params, state[2:], command[1:])])
+
+
+@dataclass(frozen=True)
+class Coasting:
+    """A drive without commands."""
+
+    time_step: float = 0.02
+    schema: Schema = ALONE
+    parameters: tuple[Parameter, ...] = PARAMETERS
+
+    def step(self, params, state, command):  # noqa: ARG002
+        return Drive(self.time_step).step(params, state, jnp.zeros(1))
+
+
+def side_by_side() -> list[Recording]:
+    return [
+        Recording(a.name, a.time_s, np.hstack([a.state, b.state]), np.hstack([a.command, b.command]))
+        for a, b in zip(driven((2.0, 4.0), seed=1), driven((2.0, 4.0), seed=2), strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def pair() -> Model:
+    return optimised(posed(Pair(), side_by_side()))
+
+
+def proposed(model: Model, one: tuple[str, float], other: tuple[str, float], recordings) -> Experiment | NoExperiment:
+    """To separate two laws at a strength each."""
+    about = [known(model.problem, name) for name, _ in (one, other)]
+    fits = [
+        evaluate(model.problem, vary(model.fit.v, c, (size,)), c.groups, model.fit.noise)
+        for c, (_, size) in zip(about, (one, other), strict=True)
+    ]
+    return design(model.problem, fits[0], fits[1], about, EVERYWHERE, recordings)
+
+
+def test_it_moves_the_channel_that_the_question_is_about(pair: Model) -> None:
+    # Their fits differ in nothing but the right cart, where the left is easily moved as well.
+    found = proposed(pair, ("coulomb_friction on right_v", 1.0), ("viscous_drag on right_v", 0.8), side_by_side())
+    assert isinstance(found, Experiment)
+    assert np.abs(found.commands[:, 1]).max() > 0
+    assert SETTLED < found.nats < 1e5
+
+
+def test_a_difference_in_another_channel_is_no_experiment_about_this_one(pair: Model) -> None:
+    """Where the fits differ by what happens on the left, no command on the right shows it."""
+    about = [known(pair.problem, name) for name in ("coulomb_friction on right_v", "viscous_drag on right_v")]
+    left = known(pair.problem, "coulomb_friction on left_v")
+    fits = [evaluate(pair.problem, vary(pair.fit.v, left, (size,)), left.groups, pair.fit.noise) for size in (0.0, 1.0)]
+    found = design(pair.problem, fits[0], fits[1], about, EVERYWHERE, side_by_side())
+    if isinstance(found, Experiment):
+        assert np.abs(found.commands[:, 1]).max() > 0
+
+
+def test_two_laws_that_are_one_have_no_experiment(pair: Model) -> None:
+    found = proposed(pair, ("viscous_drag on right_v", 0.5), ("viscous_drag on right_v", 0.5), side_by_side())
+    assert isinstance(found, NoExperiment)
+    assert "0.0 nats" in found.reason
+
+
+def test_a_pair_that_diverges_is_no_evidence(pair: Model) -> None:
+    found = proposed(pair, ("viscous_drag on right_v", 0.5), ("viscous_drag on right_v", 1e6), side_by_side())
+    assert not isinstance(found, Experiment) or found.nats < 1e5
+
+
+def test_a_machine_without_commands_has_no_experiment() -> None:
+    recordings = [r._replace(command=r.command[:, :0]) for r in driven((2.5, 5.0))]
+    model = optimised(posed(Coasting(), recordings))
+    found = proposed(model, ("coulomb_friction on left_v", 0.1), ("viscous_drag on left_v", 0.1), recordings)
+    assert isinstance(found, NoExperiment)
+    assert "commanded" in found.reason

@@ -1,0 +1,48 @@
+"""Laws that are no multiple of their constant are looked for over all of its range."""
+
+import numpy as np
+import pytest
+from test_numerics import known, optimised, posed
+from test_ranges import driven
+
+from examples.drive import Drive
+from simgap.diagnosis import confidence
+from simgap.diagnosis.search import one_more
+from simgap.effects import CATALOGUE
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS
+from simgap.types import Recording
+
+
+@pytest.mark.parametrize(
+    ("key", "furthest", "gap"), [("sensor_delay", SENSED_ROWS, 1.0), ("delay", HISTORY_ROWS, 2.0), ("lag", 30, 17.0)]
+)
+def test_starts_reach_as_far_as_the_bound(key: str, furthest: float, gap: float) -> None:
+    of = posed(Drive(), driven((2.5, 5.0)))
+    (effect,) = (e for e in CATALOGUE if e.key == key)
+    assert effect.constants[0].high == furthest
+    starts = [0.0, *(start for (start,) in effect.starts(of.scales, 0)), furthest]
+    assert max(np.diff(starts)) <= gap
+
+
+def late(recordings: list[Recording], rows: float) -> list[Recording]:
+    """Sessions whose velocity was measured so many rows before its time stamp."""
+    found = []
+    for r in recordings:
+        time = np.arange(len(r.time_s))
+        velocity = np.interp(time - rows, time, r.state[:, 1])
+        found.append(r._replace(state=np.stack([r.state[:, 0], velocity], axis=1)))
+    return found
+
+
+@pytest.mark.parametrize("rows", [0.7, 2.2, 3.5])
+def test_an_old_measurement_is_recovered_within_its_interval(rows: float) -> None:
+    model = optimised(posed(Drive(), late(driven((2.5, 5.0)), rows)))
+    delay = known(model.problem, "sensor_delay on cart velocity")
+    (tried,) = one_more(model, [delay], np.random.default_rng(0), print).tried
+    assert tried.gain > 50
+    (found,) = confidence.constants(
+        model.problem, tried.fit, delay, confidence.spread(model.problem, tried.fit, model.nuisance), tried.gain
+    )
+    low, high = found["ci95"]
+    assert low <= rows * Drive().time_step <= high
+    assert high - low < Drive().time_step
