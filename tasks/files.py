@@ -252,8 +252,8 @@ def _csv_rows(path: Path) -> Iterator[list[str]]:
             room -= len(line)
             if room < 0:
                 raise RecordingError(
-                    f"{path}: a row has more than {ROW_LIMIT:,} characters, {line[:_TEXT_SHOWN]!r}... . Save it as CSV, "
-                    "a line a row, or leave the file out."
+                    f"{path}: a row has more than {ROW_LIMIT:,} characters, {line[:_TEXT_SHOWN]!r}... . Save it as "
+                    "CSV, a line a row, or leave the file out."
                 )
             yield line
 
