@@ -10,7 +10,7 @@ def check_folder(folder: Path, simulator: str, out: Path) -> None:
     used = simulators.load(simulator)
     checked = check.check(folder, used)
     files.make_folder(out)
-    path = check.write(out, folder.resolve().name, checked, used)
+    path = check.write(out, files.printable(folder.resolve().name), checked, used)
     for error in checked.left_out:
         progress.say(f"left out: {error}")
     for finding in checked.findings:

@@ -16,7 +16,7 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
     errors: list[RecordingError] = []
     with alone(out):
         for path in paths:
-            name = path.relative_to(source).with_suffix("").as_posix() if path != source else path.stem
+            name = files.session_name(source if path != source else source.parent, path)
             try:
                 rows |= importing.import_session(path, name, mapping, schema, out)
             except RecordingError as error:

@@ -1,6 +1,6 @@
-"""What a set of recordings holds, and what in it looks wrong: rates, gaps, ranges, kinematics, excitation."""
+"""What a set of recordings holds: rates, gaps, ranges, kinematics, excitation. What of it looks wrong: `findings`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ MOVED = 0.01
 
 
 class Rate(NamedTuple):
-    """Intervals between the rows of a session [s]."""
+    """Intervals between the rows of a session [s]; `second_s` is the longest but one."""
 
     median_s: float
     low_s: float
@@ -25,16 +25,19 @@ class Rate(NamedTuple):
     stalls: float
     longest_s: float
     longest_row: int
+    second_s: float
 
 
 class Column(NamedTuple):
-    """What a column does over all sessions; a jump is (session, row), rows counted from 1."""
+    """What a column does over all sessions; a jump is (session, row), rows counted from 1; `still`: the sessions in
+    which it never changes."""
 
     low: float
     high: float
     std: float
     repeated: float
     jumps: tuple[tuple[str, int], ...]
+    still: tuple[str, ...]
 
 
 class Kinematics(NamedTuple):
@@ -64,7 +67,8 @@ def rate(recording: Recording) -> Rate:
     """Median and 5 % to 95 % of the intervals, share of stalls, the longest and the row before it."""
     dt = np.diff(recording.time_s)
     low, median, high = np.quantile(dt, [0.05, 0.5, 0.95])
-    return Rate(median, low, high, float(np.mean(dt > STALL * median)), float(dt.max()), int(dt.argmax()) + 1)
+    second = float(np.partition(dt, -2)[-2])
+    return Rate(median, low, high, float(np.mean(dt > STALL * median)), float(dt.max()), int(dt.argmax()) + 1, second)
 
 
 def column(recordings: Sequence[Recording], values: Sequence[Float[np.ndarray, " T"]], angle: bool) -> Column:
@@ -75,7 +79,8 @@ def column(recordings: Sequence[Recording], values: Sequence[Float[np.ndarray, "
     usual = np.quantile(size[size > 0], 0.99) if (size > 0).any() else np.inf
     jumps = tuple((r.name, int(i) + 2) for r, s in zip(recordings, steps, strict=True)
                   for i in np.flatnonzero(np.abs(s) > JUMP * usual))  # fmt: skip
-    return Column(float(whole.min()), float(whole.max()), float(whole.std()), float(np.mean(size == 0)), jumps)
+    still = tuple(r.name for r, s in zip(recordings, steps, strict=True) if not s.any())
+    return Column(float(whole.min()), float(whole.max()), float(whole.std()), float(np.mean(size == 0)), jumps, still)
 
 
 def kinematics(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Kinematics]:
@@ -129,51 +134,6 @@ def _band(recordings: Sequence[Recording], i: int) -> float:
         return 0.0
     frequency = np.fft.rfftfreq(len(signal), float(np.median(np.diff(longest.time_s))))
     return float(frequency[np.searchsorted(np.cumsum(power) / power.sum(), 0.9)])
-
-
-def findings(
-    schema: Schema,
-    time_step: float,
-    rates: Mapping[str, Rate],
-    columns: Mapping[str, Column],
-    moved: Mapping[str, Kinematics],
-    excited: Mapping[str, Excitation],
-) -> list[str]:
-    """What looks wrong, in words, each with what to do; `time_step` [s] is the simulator's."""
-    said = []
-    for name, r in rates.items():
-        if abs(r.median_s / time_step - 1) > 0.1:
-            said.append(f"{name}: rows are {r.median_s:.4g} s apart, the simulator's step is {time_step:.4g} s. "
-                        "Resample (`simgap import`), or give the simulator that step.")  # fmt: skip
-        if r.stalls > 0.01:
-            said.append(f"{name}: {r.stalls:.0%} of the rows last longer than {STALL:g} medians, at most "
-                        f"{r.longest_s:.3g} s (row {r.longest_row}). Look for a recorder that stalls.")  # fmt: skip
-    for name, c in columns.items():
-        if c.low == c.high:
-            said.append(f"{name} never changes from {c.low:.4g}. Nothing can be said of what depends on it.")
-        elif name in {f.name for f in schema.state} and c.repeated > 0.5:
-            said.append(f"{name} repeats its last value in {c.repeated:.0%} of the rows. Look for a sensor slower than "
-                        "the rows, and lower the rate.")  # fmt: skip
-        if c.jumps:
-            where = ", ".join(f"{session} row {row}" for session, row in c.jumps[:3])
-            said.append(f"{name} jumps {len(c.jumps)} times ({where}). Look for outliers, a reset, or an angle that "
-                        "wraps at another place than pi.")  # fmt: skip
-    for name, k in moved.items():
-        if abs(k.correlation) < 0.5:
-            said.append(f"{name} does not go with the change of {k.position} (correlation {k.correlation:.2f}). Look "
-                        "at frames (world or body), at the topic, at the clocks.")  # fmt: skip
-        elif not 0.8 < k.slope < 1.25:
-            said.append(f"{k.position} changes by {k.slope:.3g} times what {name} says. Look at units, signs, "
-                        "stamps and rate.")  # fmt: skip
-    for name, e in excited.items():
-        if e.moving == 0:
-            said.append(f"The command {name} is never used: what it does cannot be learnt. Record it.")
-        elif e.moving < 0.05:
-            said.append(f"The command {name} moves in {e.moving:.1%} of the rows alone. Record more of it.")
-        if abs(e.correlation) > 0.95 and name < e.like:
-            said.append(f"The commands {name} and {e.like} go together (correlation {e.correlation:.2f}): whose effect "
-                        "is whose cannot be told. Record them apart.")  # fmt: skip
-    return said
 
 
 def _position_of(schema: Schema, velocity: Field) -> int | None:

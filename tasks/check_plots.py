@@ -12,7 +12,7 @@ from matplotlib.ticker import StrMethodFormatter
 
 from simgap.types import Field, Recording, Schema
 
-_WIDTH, _COLUMNS, _POINTS = 10.0, 3, 2000
+_WIDTH, _COLUMNS, _POINTS, _SESSIONS = 10.0, 3, 2000, 8
 _STYLE: dict[Any, Any] = {
     "font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "simgap",
           "text.parse_math": False}  # fmt: skip
@@ -20,17 +20,25 @@ _BLUE, _GREY = "#1f5fa8", "#9aa0a8"
 
 
 def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
-    """The interval before every row [s], sessions one after another; the simulator's step as a line."""
+    """The interval before every row [s], sessions one after another; the simulator's step as a line.
+
+    Drawn are some rows of every session, and its longest interval: fewer a session the more sessions there are.
+    """
+    points = max(2, _POINTS * _SESSIONS // max(len(recordings), _SESSIONS))
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, 2.4), layout="constrained")
         ax = figure.add_subplot()
         first, low, high = 0, time_step / 2, time_step * 2
+        drawn: tuple[list[Any], list[Any]] = ([], [])
         for i, recording in enumerate(recordings):
             dt = np.diff(recording.time_s)
             rows = np.arange(first, first + len(dt))
-            shown = np.unique([*np.linspace(0, len(dt) - 1, _POINTS).astype(int), dt.argmax()])
-            ax.plot(rows[shown], dt[shown], ".", markersize=2, color=(_BLUE, _GREY)[i % 2])
+            shown = np.unique([*np.linspace(0, len(dt) - 1, points).astype(int), dt.argmax()])
+            drawn[i % 2].append((rows[shown], dt[shown]))
             first, low, high = first + len(dt), min(low, dt.min()), max(high, dt.max())
+        for color, parts in zip((_BLUE, _GREY), drawn, strict=True):
+            if parts:
+                ax.plot(*np.concatenate(parts, axis=1), ".", markersize=2, color=color)
         ax.axhline(time_step, color="black", linewidth=0.8)
         ax.set(xlabel="row, session after session", ylabel="interval [s]", yscale="log", ylim=(low / 1.1, high * 1.1))
         ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))

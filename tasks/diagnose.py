@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from prefect import task
 
+from simgap.derived import derived, sentence
 from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
 from simgap.types import Recording, RecordingError, Schema, StepModel
 from tasks import files, fingerprint, tracking
@@ -37,7 +38,8 @@ class Sessions(NamedTuple):
 def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
     """The sessions, and what was wrong with those left out; without a folder held out, some sessions are.
 
-    Raises RecordingError when a folder has no usable session, or when a session serves two purposes.
+    Raises RecordingError when a folder has no usable session, when one of its velocities is a difference of its
+    position, or when a session serves two purposes.
     """
     errors: list[str] = []
 
@@ -46,6 +48,8 @@ def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
             return []
         found, bad = files.read_recordings(folder, simulator.schema, simulator.time_step)
         errors.extend(str(error) for error in bad)
+        if differences := derived(simulator.schema, found):
+            raise RecordingError("\n".join(f"{folder}: column {sentence(d)}" for d in differences))
         return found
 
     given = sessions(folders.recordings)

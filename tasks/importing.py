@@ -144,16 +144,18 @@ def _streams(path: Path, mapping: MappingFile, schema: Schema) -> dict[str, Stre
         column = mapping.columns[name]
         late = np.flatnonzero(~np.isfinite(time))
         if late.size:
-            raise RecordingError(f"column {name}: value {late[0] + 1} of {len(time)} has the time stamp {time[late[0]]}"
-                                 "; every stamp must be a finite number. Cut the session there.")  # fmt: skip
+            raise RecordingError(f"column {name}: value {late[0] + 1} of {len(time)} has the time stamp "
+                                 f"{time[late[0]]}; every stamp must be a finite number. Cut the session "
+                                 "there.")  # fmt: skip
         scale = column.sign * resample.factor(column.unit or fields[name].unit, fields[name].unit)
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]
         fresh = np.append(np.diff(time) > 0, True)  # of several values with one stamp, the last
         bad = np.flatnonzero(~(np.abs(values) <= files.LARGEST))
         if bad.size:
-            raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]:g}; every value "
-                                 f"must be a number of at most {files.LARGEST:.1e}. Cut the session there.")  # fmt: skip
+            raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]:g}; every "
+                                 f"value must be a number of at most {files.LARGEST:.1e}. Cut the session "
+                                 "there.")  # fmt: skip
         streams[name] = Stream(time[fresh], scale * values[fresh])
     zero = min(s.time_s[0] for s in streams.values())
     return {name: Stream(s.time_s - zero, s.values) for name, s in streams.items()}

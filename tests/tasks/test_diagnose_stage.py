@@ -64,6 +64,17 @@ def test_sessions_of_one_name_are_told_apart(folders: dict[str, Path]) -> None:
     assert names(sessions.baseline) == ["yesterday/drive_01", "yesterday/drive_02"]
 
 
+@pytest.mark.parametrize("purpose", ["recordings", "heldout", "baseline"])
+def test_a_velocity_that_is_a_difference_is_refused(folders: dict[str, Path], tmp_path: Path, purpose: str) -> None:
+    for session in files.read_recordings(folders["tomorrow"], DRIVE.schema, DRIVE.time_step)[0]:
+        session.state[:, 1] = np.gradient(session.state[:, 0], session.time_s)
+        files.write_recording(tmp_path / "made", session, DRIVE.schema)
+    given = Folders(folders["today"])._replace(**{purpose: tmp_path / "made"})
+    words = r"made: column velocity is the central difference of position.*Record the velocity that a sensor gives"
+    with pytest.raises(RecordingError, match=words):
+        diagnose.read.fn(given, DRIVE)
+
+
 @pytest.mark.parametrize("purpose", ["heldout", "baseline"])
 def test_a_session_serves_one_purpose(folders: dict[str, Path], tmp_path: Path, purpose: str) -> None:
     (session,) = (files.read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step, ["drive_02*"]))[0]

@@ -29,7 +29,7 @@ from simgap.recordings import normalisation
 from simgap.simulators import parameter_ranges
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import Recording, RecordingError, SimgapError
+from simgap.types import MOST_ROWS, Recording, RecordingError, SimgapError
 from tasks import files
 
 STEP = 1 / 15
@@ -102,7 +102,7 @@ def assert_same(a: Recording, b: Recording) -> None:
 
 
 def floats(*shape: int) -> st.SearchStrategy[np.ndarray]:
-    return hnp.arrays(np.float64, shape, elements=st.floats(allow_nan=False, allow_infinity=False))
+    return hnp.arrays(np.float64, shape, elements=st.floats(-files.LARGEST, files.LARGEST))
 
 
 @st.composite
@@ -225,13 +225,24 @@ def test_bad_sessions_leave_the_others_intact(tmp_path: Path) -> None:
         (csv_text(table()) + "1.0,2.0,3.0\n", ["row 7", "3 values for 19", "column base_yaw", "Mend"]),
         (csv_text(changed("cmd_ee_vz", 2, "0.1,0.2")), ["row 2", "20 values for 19", "column cmd_ee_vz", "Mend"]),
         (csv_text(table()).replace("\n", "\n\n", 3), ["row 1", "0 values for 19", "column time_s"]),
-        (csv_text(table()).replace(",", ";"), ["column time_s", "missing"]),
+        (csv_text(table()).replace(",", ";"), ["the header has semicolons", "there must be commas"]),
+        (csv_text(table()).replace(",", "\t"), ["the header has tabs", "there must be commas"]),
     ],
 )
 def test_a_bad_csv_is_named(tmp_path: Path, text: str, words: list[str]) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     assert_refused(path, *words)
+
+
+@pytest.mark.parametrize("value", [1e30, -1e300, 1.4e16])
+def test_a_value_beyond_single_precision_is_named(tmp_path: Path, value: float) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(csv_text(changed("ee_vx", 4, value)))
+    assert_refused(path, "column ee_vx, row 4", f"{value:g}", "may exceed 1.3e+16", "Look for a wrong unit")
+    path.write_text(csv_text(changed("ee_vx", 4, files.LARGEST)))
+    squares = np.float32(read_one(path).state[3, 9]) ** 2 * np.float32(MOST_ROWS)
+    assert np.isfinite(squares)
 
 
 def test_a_csv_in_another_encoding_is_named(tmp_path: Path) -> None:

@@ -19,13 +19,12 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from flows.check import check_folder
 from flows.importing import import_recordings
-from simgap import resample, survey
+from simgap import resample
 from simgap.resample import Stream
-from simgap.simulators.spot import SCHEMA, Spot
+from simgap.simulators.spot import SCHEMA
 from simgap.types import ConfigError, Recording, RecordingError, SimgapError
-from tasks import check, files
+from tasks import files
 
 RATE, SECONDS = 20.0, 8.0
 EPOCH_NS = 1_780_000_000_000_000_000
@@ -271,59 +270,6 @@ def test_units_are_converted(unit: str, wanted: str, value: float) -> None:
 def test_a_unit_of_another_quantity_is_refused() -> None:
     with pytest.raises(ConfigError, match="'deg' cannot be converted to m; known are m, cm, mm"):
         resample.factor("deg", "m")
-
-
-# Check
-
-
-def good(tmp_path: Path, change: Callable[[pd.DataFrame], Any] = len) -> Path:
-    time = np.arange(0, 20, 1 / 15)
-    rows = pd.DataFrame({"time_s": time, **motion(time)})
-    change(rows)
-    (tmp_path / "in").mkdir()
-    rows.to_csv(tmp_path / "in" / "walk.csv", index=False)
-    return tmp_path / "in"
-
-
-def test_good_recordings_have_no_findings_but_what_is_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    check_folder(good(tmp_path), "spot", tmp_path / "out")
-    assert re.findall("^- (.*)", capsys.readouterr().out, re.MULTILINE) == [
-        "base_wz never changes from 0.5. Nothing can be said of what depends on it."
-    ]
-    page = (tmp_path / "out" / "check.html").read_text()
-    assert "walk" in page
-    assert "<script" not in page
-    assert not re.search(r"(src|href)=.(?!data:)", page), "everything is in the page itself"
-
-
-def set_rows(column: str, values: Callable[[pd.DataFrame], Any]) -> Callable[[pd.DataFrame], None]:
-    return lambda rows: rows.__setitem__(column, values(rows))
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (set_rows("base_vx", lambda r: 1000 * r.base_vx), "base_x changes by 0.001 times what base_vx says"),
-        (set_rows("base_vx", lambda r: r.base_vy), "base_vx does not go with the change of base_x"),
-        (set_rows("cmd_ee_vx", lambda r: 0 * r.cmd_ee_vx), "cmd_ee_vx is never used"),
-        (set_rows("cmd_ee_vx", lambda r: r.cmd_ee_vy), "cmd_ee_vx and cmd_ee_vy go together"),
-        (set_rows("time_s", lambda r: r.time_s * 2), "rows are 0.1333 s apart"),
-        (set_rows("ee_z", lambda r: r.ee_z + (r.index == 77) * 9.0), r"ee_z jumps 2 times \(walk row 78"),
-        (set_rows("ee_z", lambda r: r.ee_z.iloc[r.index // 4 * 4].to_numpy()), "ee_z repeats its last value in 75%"),
-    ],
-)
-def test_what_is_wrong_is_found(tmp_path: Path, change: Callable[[pd.DataFrame], Any], words: str) -> None:
-    found = check.check(good(tmp_path, change), Spot())
-    assert [line for line in found.findings if re.search(words, line)], found.findings
-
-
-def test_stalls_are_counted_and_the_longest_is_named() -> None:
-    time = np.cumsum(np.where(np.arange(100) % 10 == 9, 0.3, 0.1))
-    time[50:] += 1.0
-    rate = survey.rate(Recording("s", time, np.zeros((100, 1)), np.zeros((100, 1))))
-    assert rate.median_s == pytest.approx(0.1)
-    assert rate.stalls == pytest.approx(11 / 99, abs=0.011)
-    assert (rate.longest_s, rate.longest_row) == (pytest.approx(1.1), 50)
 
 
 def test_the_commands_are_there_to_be_typed(tmp_path: Path, prefect_server: dict[str, str]) -> None:
