@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from simgap.types import RecordingError
-from tasks import files, importing, progress, simulators
+from tasks import files, importing, progress, sessions, simulators
 
 
 def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
     """Every session of `source` as the mapping file says; one that cannot be used is told of, and loses no other."""
     schema = simulators.load(simulator).schema
     mapping = importing.read_mapping(mapping_file, schema)
-    paths = importing.sources(source)
+    paths = sessions.sources(source)
     files.make_folder(out)
     files.remove_unfinished(out)
     rows: dict[str, int] = {}

@@ -33,9 +33,8 @@ from simgap.recordings import Normalisation, check_recording
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
 from simgap.types import Field, Recording, RecordingError, Schema, SimgapError
+from tasks.sessions import session_files
 
-SUFFIXES = (".csv", ".parquet", ".pickle")
-"""What a session's file may end in, in upper or lower case."""
 PICKLE_LIMIT = 64 * 2**20
 """Greatest size of a pickle that is opened [bytes]; the published ones stay below 0.2 MB."""
 
@@ -60,7 +59,7 @@ def read_recordings(
     recordings: list[Recording] = []
     errors: list[RecordingError] = []
     seen: dict[str, Path] = {}
-    paths = _session_files(folder, patterns)
+    paths = session_files(folder, patterns)
     for path in paths:
         name = path.relative_to(folder).with_suffix("").as_posix()
         try:
@@ -97,7 +96,7 @@ def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
 
 def session_names(folder: Path) -> list[str]:
     """Names of the sessions under a folder, whether they can be used or not."""
-    return [path.relative_to(folder).with_suffix("").as_posix() for path in _session_files(folder, ("**/*",))]
+    return [path.relative_to(folder).with_suffix("").as_posix() for path in session_files(folder)]
 
 
 def _relative_name(name: str) -> str:
@@ -109,31 +108,6 @@ def _relative_name(name: str) -> str:
             "the recordings' folder. Rename the session."
         )
     return name
-
-
-def _session_files(folder: Path, patterns: Sequence[str]) -> list[Path]:
-    """The session files that match, by relative path."""
-    if not folder.is_dir():
-        raise RecordingError(
-            f"{folder}: there is no such folder. Give the folder of the recording set, or put the sessions there."
-        )
-    found: set[Path] = set()
-    for pattern in patterns:
-        try:
-            if ".." in PurePosixPath(pattern).parts:
-                raise ValueError("it leaves the folder")
-            found.update(p for p in folder.glob(pattern) if p.suffix.lower() in SUFFIXES and not p.is_dir())
-        except (ValueError, NotImplementedError) as error:
-            raise RecordingError(
-                f"{folder}: the pattern {pattern!r} cannot be used ({error}). Give one relative to the folder, "
-                "like `day_1/*` or `**/*`."
-            ) from None
-    if not found:
-        raise RecordingError(
-            f"{folder}: no file matches {', '.join(patterns)} and ends in {', '.join(SUFFIXES)}. "
-            "Change the patterns, or put the sessions there."
-        )
-    return sorted(found, key=lambda path: path.relative_to(folder).as_posix())
 
 
 def _columns(path: Path, schema: Schema, time_step: float) -> _Columns:

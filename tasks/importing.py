@@ -14,8 +14,7 @@ from simgap.types import ConfigError, RecordingError, Schema
 from tasks import bags, files
 from tasks.forms import check
 from tasks.params import read_yaml
-
-TABLES = (".csv", ".parquet")
+from tasks.sessions import TABLES
 
 
 class _Block(BaseModel):
@@ -82,20 +81,6 @@ def _check_columns(mapping: MappingFile, schema: Schema) -> None:
         if column.frame and column.frame != fields[name].frame and fields[name] in schema.command:
             raise ConfigError(f"columns.{name}.frame: commands are in the frame of the schema, {fields[name].frame}. "
                               "Give them so.")  # fmt: skip
-
-
-def sources(folder: Path) -> list[Path]:
-    """The sessions of a folder, or the one that it is: bags and tables, by path."""
-    if bags.is_bag(folder) or folder.suffix.lower() in TABLES:
-        return [folder]
-    if not folder.is_dir():
-        raise RecordingError(f"{folder}: there is no such bag, table or folder. Give the folder of the recordings.")
-    found = [p for p in folder.rglob("*") if p.suffix.lower() in TABLES or bags.is_bag(p)]
-    # What lies in a ROS 2 bag's folder is part of that bag.
-    alone = [p for p in found if not any(bags.is_bag(parent) for parent in p.parents)]
-    if not alone:
-        raise RecordingError(f"{folder}: holds no MCAP file, ROS 2 bag, CSV or Parquet file. Give another folder.")
-    return sorted(alone)
 
 
 def import_session(path: Path, name: str, mapping: MappingFile, schema: Schema, out: Path) -> dict[str, int]:

@@ -110,7 +110,7 @@ def _judged(
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tell.Plan | None:
     """For the least certain effect, what would tell it from its rival."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
-    if not contested:
+    if not contested or not found.problem.augmented.layout.schema.command:
         return None
     member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
     designed = experiment.design(found.problem, found.fit, rival.fit, found.regime, list(training))
