@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.start import PARAMS, check_files, guarded
-from tasks import sessions, simulator_names
+from tasks import sessions, trial
 
 
 def main() -> None:
@@ -47,10 +47,10 @@ def _add_diagnose(commands: Any) -> None:
 
 
 def _diagnose(given: argparse.Namespace) -> None:
-    simulator_names.check(given.simulator)
     for folder in (given.recordings, given.heldout, given.baseline):
         if folder is not None:
             sessions.session_files(folder)
+    trial.check(given.simulator)
     from flows.diagnose import diagnose_folder
 
     diagnose_folder(given.recordings, given.simulator, given.baseline, given.heldout, given.out)
@@ -100,9 +100,9 @@ def _add_import(commands: Any) -> None:
 
 
 def _import(given: argparse.Namespace) -> None:
-    simulator_names.check(given.simulator)
-    check_files(given.mapping)
     sessions.sources(given.source)
+    check_files(given.mapping)
+    trial.check(given.simulator)
     from flows.importing import import_recordings
 
     import_recordings(given.source, given.mapping, given.out, given.simulator)
@@ -117,8 +117,8 @@ def _add_check(commands: Any) -> None:
 
 
 def _check(given: argparse.Namespace) -> None:
-    simulator_names.check(given.simulator)
     sessions.session_files(given.recordings)
+    trial.check(given.simulator)
     from flows.check import check_folder
 
     check_folder(given.recordings, given.simulator, given.out)

@@ -22,6 +22,7 @@ from typing import Any, NoReturn
 from flows import running
 from simgap.types import ConfigError, SimgapError
 from tasks import progress
+from tasks.sessions import session_files
 
 PARAMS = Path("params.yaml")
 FOLDERS = [Path(name) for name in ("data", "models", "scores", "policies", "tracks", "reports")]
@@ -53,6 +54,32 @@ def main(stage: str, description: str | None) -> NoReturn:
         for folder in FOLDERS:
             files.remove_unfinished(folder)
         flow.run(arguments.source, params, Path())
+
+    guarded(work)
+    sys.exit(0)
+
+
+def main_apart(stage: str, description: str | None) -> NoReturn:
+    """The same in a workspace of its own, with recordings of one's own if there are any."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("source", nargs="?", default="virtual", help="a block of params.yaml's recordings")
+    parser.add_argument("--workspace", type=Path, required=True, help="folder for data, models and report")
+    add_overrides(parser)
+    parser.add_argument("--recordings", type=Path, help="folder that takes the place of the source's own")
+    arguments = parser.parse_args()
+
+    def work() -> None:
+        check_files(PARAMS, *arguments.overrides)
+        own = {"recordings": {arguments.source: {"folder": str(arguments.recordings)}}}
+        if arguments.recordings:
+            session_files(arguments.recordings)
+        from tasks.params import load_params
+
+        params = load_params(PARAMS, *read_overrides(arguments), *([own] if arguments.recordings else []))
+        params.source(arguments.source)
+        flow = import_module(stage)
+        with alone(arguments.workspace):
+            flow.run(arguments.source, params, arguments.workspace)
 
     guarded(work)
     sys.exit(0)

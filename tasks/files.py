@@ -70,13 +70,32 @@ def read_recordings(
                 )
             seen[name] = path
             columns = _columns(path, schema, time_step)
-            recordings.append(check_recording(schema, str(path), columns)._replace(name=name))
+            recordings.append(checked(schema, str(path), columns)._replace(name=name))
         except RecordingError as error:
             errors.append(error)
     if not recordings:
         reasons = "\n".join(f"  {error}" for error in errors)
         raise RecordingError(f"{folder}: none of its {len(paths)} session files can be used:\n{reasons}")
     return recordings, errors
+
+
+class _WithoutCommands(Schema):
+    """The schema of a machine without commands, as `check_recording` takes it: with one, of which no file has a column.
+
+    `simgap.recordings` has no case for it, as a change there makes every trained model stale.
+    """
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return ("time_s", *(f.name for f in self.state))
+
+
+def checked(schema: Schema, file: str, columns: Mapping[str, Float[np.ndarray, " T"]]) -> Recording:
+    """`check_recording`, for machines without commands too."""
+    if schema.command:
+        return check_recording(schema, file, columns)
+    found = check_recording(_WithoutCommands(schema.state, schema.state[:1], schema.mounts), file, columns)
+    return found._replace(command=np.empty((len(found.time_s), 0)))
 
 
 def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:

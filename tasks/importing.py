@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from simgap import resample
-from simgap.recordings import HISTORY, check_recording
+from simgap.recordings import HISTORY
 from simgap.resample import Stream
 from simgap.types import ConfigError, RecordingError, Schema
 from tasks import bags, files
@@ -30,11 +30,14 @@ class Column(_Block):
     unit: str = Field("", description="Of the values; empty: the schema's.")
     frame: Literal["world", "body"] | None = Field(None, description="Of the values; empty: the schema's.")
     sign: Literal[1, -1] = Field(1, description="-1 where the robot counts the other way round.")
+    time: Literal["received", "header"] | None = Field(None, description="Of a bag's messages; empty: the mapping's.")
 
     @model_validator(mode="after")
     def _one_place(self) -> "Column":
         if bool(self.column) == bool(self.topic) or bool(self.topic) != bool(self.field):
             raise ValueError("give topic and field, for a bag, or column, for a table")
+        if self.column and self.time:
+            raise ValueError("`time` is of a bag's messages; a table has one column of stamps, `time: {column: ...}`")
         return self
 
 
@@ -105,7 +108,7 @@ def import_session(path: Path, name: str, mapping: MappingFile, schema: Schema, 
     rows = {}
     for k, piece in enumerate(pieces, 1):
         session = name if len(pieces) == 1 else f"{name}_{k}"
-        files.write_recording(out, check_recording(schema, str(path), piece)._replace(name=session), schema)
+        files.write_recording(out, files.checked(schema, str(path), piece)._replace(name=session), schema)
         rows[session] = len(piece["time_s"])
     return rows
 
@@ -156,9 +159,10 @@ def _of_bag(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, np.
     values: dict[str, list[float]] = {name: [] for name in mapping.columns}
     first: int | None = None
     for message in bags.messages(path, by_topic.keys()):
-        stamp = _stamp(message, path) if mapping.time.bag == "header" else message.received_ns
-        first = stamp if first is None else first
         for name, field in by_topic[message.topic]:
+            by_header = (mapping.columns[name].time or mapping.time.bag) == "header"
+            stamp = _stamp(message, path) if by_header else message.received_ns
+            first = stamp if first is None else first
             times[name].append((stamp - first) * 1e-9)  # nanoseconds since 1970 do not fit a float
             values[name].append(_value(message.content, field, f"{path}: topic {message.topic}"))
     return {name: (np.array(times[name]), np.array(values[name])) for name in mapping.columns}
@@ -169,7 +173,9 @@ def _stamp(message: bags.Message, path: Path) -> int:
     seconds = _member(stamp, "sec")
     nanoseconds = next((n for n in (_member(stamp, "nanosec"), _member(stamp, "nsec")) if n is not None), None)
     if seconds is None or nanoseconds is None:
-        raise RecordingError(f"{path}: topic {message.topic} has no stamped header. Give `time: {{bag: received}}`.")
+        raise RecordingError(
+            f"{path}: topic {message.topic} has no stamped header. Give `time: received` for its columns."
+        )
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 

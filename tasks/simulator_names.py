@@ -39,12 +39,6 @@ def place(spec: str) -> Place:
     return Place(module, name)
 
 
-def check(spec: str) -> None:
-    """ConfigError unless there is a simulator of that name, or at least its module."""
-    if spec not in BUILT_IN:
-        place(spec)
-
-
 def users_own(top: str) -> ModuleSpec | None:
     """The user's own module of that name, where a library has the name too: the user means the own one.
 
@@ -68,8 +62,8 @@ def _missing(module: str) -> Iterator[str]:
         name = ".".join(parts[: k + 1])
         if k and found is not None:
             inside = found.submodule_search_locations
-            found = inside and PathFinder.find_spec(name, inside)
-        if not found:
+            found = PathFinder.find_spec(name, inside) if inside else None
+        if found is None:
             yield name
             return
 

@@ -8,10 +8,7 @@ runs in a process of its own (`tasks.trial`), as that code may end its process o
 import importlib
 import importlib.util
 import inspect
-import json
 import math
-import signal
-import subprocess
 import sys
 import sysconfig
 import traceback
@@ -27,14 +24,11 @@ from jaxtyping import Array, Float
 
 from simgap.simulators.spot import Spot
 from simgap.types import Axis, ConfigError, Field, Frame, Kind, Parameter, Schema, StepModel
-from tasks import simulator_names
+from tasks import simulator_names, trial
 from tasks.simulator_names import BUILT_IN
 
 MEMBERS = ("schema", "parameters", "time_step", "step")
 """What a `StepModel` has."""
-TRIAL_S = 300
-"""Time for importing, building and trying a simulator [s]: the diagnosis compiles its step dozens of times."""
-
 _TYPICAL = {"position": 0.3, "angle": 0.3, "velocity": 0.2, "force": 1.0}
 # Kinds that say the same of a body's axis: where it is, how fast it moves, what drives it.
 _STATE_ROLES = {"position": "position or angle", "angle": "position or angle", "velocity": "velocity"}
@@ -49,38 +43,12 @@ def load(spec: str) -> StepModel:
 
     `name` may be an instance, or a class or function of that module that gives one when called without arguments. The
     module must be importable as it stands. Raises ConfigError when there is no such simulator, when it fails `check`,
-    or when its code ends its process or does not end within TRIAL_S.
+    or when its code ends its process or does not end.
     """
     if spec in BUILT_IN:
         return Spot()
-    _try_apart(spec)
+    trial.check(spec)
     return cast(StepModel, make(find(spec), spec))
-
-
-def _try_apart(spec: str) -> None:
-    """Find, make and check the simulator in another process; ConfigError that says what is wrong, or how it ended."""
-    simulator_names.place(spec)
-    start = "import json, sys; sys.path[:] = json.load(sys.stdin); from tasks.trial import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", start, spec, str(TRIAL_S)], input=json.dumps(sys.path),
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-    )  # fmt: skip
-    reports = [{"doing": "starting Python"}, *map(json.loads, done.stdout.splitlines())]
-    if "passed" in reports[-1]:
-        return
-    if "wrong" in reports[-1]:
-        raise ConfigError(reports[-1]["wrong"])
-    doing = reports[-1]["doing"]
-    if done.returncode == -signal.SIGALRM:
-        raise ConfigError(
-            f"{spec}: {doing} must end; it was stopped after {TRIAL_S} s. Look for a loop that never ends, such as a "
-            "jax.lax.while_loop whose condition stays true; or make the step quicker to compile."
-        )
-    how = f"signal {-done.returncode}" if done.returncode < 0 else f"status {done.returncode}"
-    raise ConfigError(
-        f"{spec}: {doing} must not end the process; it did ({how}). Look for os._exit, os.abort and os.kill, or for a "
-        "compiled library that crashes."
-    )
 
 
 def find(spec: str) -> Any:
@@ -205,13 +173,13 @@ def _check_schema(schema: Any, name: str) -> None:
         )
     for what, fields in (("state", schema.state), ("command", schema.command)):
         _check_tuple(fields, Field, "Field(...)", f"schema.{what}", name)
-        if not fields:
-            raise ConfigError(
-                f"{name}: schema.{what} must have at least one Field; it has none. A robot without a {what} cannot be "
-                "diagnosed: add the columns that its recordings have."
-            )
         for field in fields:
             _check_field(field, name)
+    if not schema.state:
+        raise ConfigError(
+            f"{name}: schema.state must have at least one Field; it has none. What is not measured cannot be diagnosed: "
+            "add the columns that its recordings have. (schema.command may be empty.)"
+        )
     twice = _duplicates(schema.columns)
     if twice:
         raise ConfigError(

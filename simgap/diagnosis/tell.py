@@ -312,6 +312,9 @@ def _rounds(found: Explanation) -> list[dict[str, Any]]:
 
 
 def _notes(sessions: Sessions) -> list[str]:
+    notes = [] if sessions.training[0].command.shape[1] else [words.NO_COMMANDS]
     if len(sessions.heldout) < judge.LEAST_SESSIONS:
-        return ["Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."]
-    return []
+        notes.append(
+            "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
+        )
+    return notes

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+EXAMINATION = "examination"
+SUITES = ("development", EXAMINATION, "engine", "real")
 BEFORE, AFTER = "before", "after"
 """Folders of a case whose question is what changed."""
 
