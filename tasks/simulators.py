@@ -177,8 +177,8 @@ def _check_schema(schema: Any, name: str) -> None:
             _check_field(field, name)
     if not schema.state:
         raise ConfigError(
-            f"{name}: schema.state must have at least one Field; it has none. What is not measured cannot be diagnosed: "
-            "add the columns that its recordings have. (schema.command may be empty.)"
+            f"{name}: schema.state must have at least one Field; it has none. What is not measured cannot be "
+            "diagnosed: add the columns that its recordings have. (schema.command may be empty.)"
         )
     twice = _duplicates(schema.columns)
     if twice:
