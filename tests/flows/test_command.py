@@ -4,9 +4,11 @@ import re
 import signal
 import subprocess
 import sys
-import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+import psutil
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -119,9 +121,16 @@ guarded(work)
 )
 
 
+def started(command: list[str], folder: Path) -> subprocess.Popen[str]:
+    """As from a terminal: what a shell starts in the background, such as this test, ignores Ctrl-C."""
+    return subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+
+
 def test_ctrl_c_ends_the_trial_of_an_endless_step(folder: Path) -> None:
-    command = [SIMGAP, "check", "rail", "--simulator", "endless:Mine"]
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+    with started([SIMGAP, "check", "rail", "--simulator", "endless:Mine"], folder) as process:
         _until(process, lambda: b"tasks.trial" in _children(process))
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=60)
@@ -129,11 +138,10 @@ def test_ctrl_c_ends_the_trial_of_an_endless_step(folder: Path) -> None:
     assert not _children(process)
 
 
-def _until(process: subprocess.Popen[str], happened: object) -> None:
-    waited = threading.Event()
-    while not happened():  # type: ignore[operator]
+def _until(process: subprocess.Popen[str], happened: Callable[[], bool]) -> None:
+    while not happened():
         assert process.poll() is None
-        waited.wait(0.1)
+        time.sleep(0.1)
 
 
 def _children(process: subprocess.Popen[str]) -> bytes:
@@ -147,9 +155,12 @@ def _children(process: subprocess.Popen[str]) -> bytes:
 
 def test_ctrl_c_twice_ends_endless_compiled_code() -> None:
     """Python does not hear of the first one."""
-    with subprocess.Popen([sys.executable, "-c", ENDLESS], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+    with started([sys.executable, "-c", ENDLESS], ROOT) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
+        used = lambda: psutil.Process(process.pid).cpu_times().user  # noqa: E731
+        before = used()
+        _until(process, lambda: used() > before + 1)  # it is in the loop
         process.send_signal(signal.SIGINT)
         assert process.stdout.readline() == "Still stopping. Ctrl-C again ends it at once.\n"
         process.send_signal(signal.SIGINT)
