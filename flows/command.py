@@ -5,14 +5,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flows.start import PARAMS, guarded
+from flows.start import PARAMS, check_files, guarded
+from tasks import sessions, trial
 
 
 def main() -> None:
     """A subcommand: status 0 whatever it finds, 1 with an explained error, 2 for wrong arguments."""
     given = parser().parse_args()
-    # As `python -m` would: a simulator of one's own lies where the command is started.
-    sys.path.insert(0, str(Path.cwd()))
+    # A simulator of one's own lies where the command is started; behind the libraries, whose names may be the same.
+    sys.path.append(str(Path.cwd()))
     guarded(lambda: given.work(given))
 
 
@@ -25,7 +26,8 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-# Each imports what it runs when it is run: Prefect, MLflow and JAX take ten seconds, and no command needs all of them.
+# Each looks at what it is given, then imports what it runs: Prefect, MLflow and JAX take ten seconds, and no command
+# needs all of them.
 
 
 def _add_diagnose(commands: Any) -> None:
@@ -45,6 +47,10 @@ def _add_diagnose(commands: Any) -> None:
 
 
 def _diagnose(given: argparse.Namespace) -> None:
+    for folder in (given.recordings, given.heldout, given.baseline):
+        if folder is not None:
+            sessions.session_files(folder)
+    trial.check(given.simulator)
     from flows.diagnose import diagnose_folder
 
     diagnose_folder(given.recordings, given.simulator, given.baseline, given.heldout, given.out)
@@ -68,7 +74,9 @@ def _add_sweep(commands: Any) -> None:
 
 
 def _sweep(given: argparse.Namespace) -> None:
-    from flows import sweep
+    check_files(PARAMS)
+    if given.recordings:
+        sessions.session_files(Path(given.recordings))
     from tasks import forms
     from tasks.params import load_params
 
@@ -76,7 +84,10 @@ def _sweep(given: argparse.Namespace) -> None:
     asked["recordings"] |= {"folder": given.recordings} if given.recordings else {}
     for name in ("models", "noises", "sample_sizes", "seeds"):
         asked[name] = getattr(given, name) or asked[name]
-    sweep.start(given.name, {**asked, "hyperparameters": forms.read_values(given.values)})
+    asked["hyperparameters"] = forms.read_values(given.values)
+    from flows import sweep
+
+    sweep.start(given.name, asked)
 
 
 def _add_import(commands: Any) -> None:
@@ -89,6 +100,9 @@ def _add_import(commands: Any) -> None:
 
 
 def _import(given: argparse.Namespace) -> None:
+    sessions.sources(given.source)
+    check_files(given.mapping)
+    trial.check(given.simulator)
     from flows.importing import import_recordings
 
     import_recordings(given.source, given.mapping, given.out, given.simulator)
@@ -103,6 +117,8 @@ def _add_check(commands: Any) -> None:
 
 
 def _check(given: argparse.Namespace) -> None:
+    sessions.session_files(given.recordings)
+    trial.check(given.simulator)
     from flows.check import check_folder
 
     check_folder(given.recordings, given.simulator, given.out)

@@ -1,12 +1,17 @@
 """Stage `diagnose`: what the simulator leaves out, from a source's recordings or from a folder of one's own."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.diagnose", __doc__)  # before the imports, which take seconds
+
 import time
 from pathlib import Path
 
 from prefect import flow
 
 from flows import provenance
-from flows.start import alone, main
+from flows.start import alone
 from simgap.simulators.spot import Spot
 from simgap.types import StepModel
 from tasks import diagnose, files, progress, simulators, tracking
@@ -69,7 +74,3 @@ def _diagnose(
         f"({found.statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"
     )
     return tracked.run_id
-
-
-if __name__ == "__main__":
-    main(run)

@@ -4,14 +4,14 @@ from pathlib import Path
 
 from flows.start import alone
 from simgap.types import RecordingError
-from tasks import files, importing, progress, simulators
+from tasks import files, importing, progress, sessions, simulators
 
 
 def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
     """Every session of `source` as the mapping file says; one that cannot be used is told of, and loses no other."""
     schema = simulators.load(simulator).schema
     mapping = importing.read_mapping(mapping_file, schema)
-    paths = importing.sources(source)
+    paths = sessions.sources(source)
     rows: dict[str, int] = {}
     errors: list[RecordingError] = []
     with alone(out):

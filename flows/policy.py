@@ -1,12 +1,16 @@
 """Stage `policy`: soft actor-critic in every model of the grid."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.policy", __doc__)  # before the imports, which take seconds
+
 from pathlib import Path
 
 from prefect import flow
 
 from flows import provenance
 from flows.fan_out import fan_out
-from flows.start import main
 from simgap.types import SimgapError
 from tasks import fingerprint, policy, progress, tracking
 from tasks.params import Params
@@ -32,7 +36,3 @@ def run(source: str, params: Params, root: Path) -> None:
                 + "\n".join(f"  {cell.name}: {why}" for (_, cell), why in failed.items())
                 + "\nMend the cause and start again: finished policies are not repeated."
             )
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,10 +1,14 @@
 """Stage `recordings`: sessions in, from the virtual Spot or from a folder."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.recordings", __doc__)  # before the imports, which take seconds
+
 from pathlib import Path
 
 from prefect import flow
 
-from flows.start import main
 from tasks import files, progress, recordings
 from tasks.params import Params, VirtualParams
 from tasks.workspace import Workspace
@@ -22,7 +26,3 @@ def run(source: str, params: Params, root: Path) -> None:
         for error in errors:
             progress.say(f"left out: {error}")
     progress.say(f"recordings of {source}: {len(rows)} sessions, {sum(rows.values()):,} rows in {workspace.recordings}")
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,10 +1,14 @@
 """Stage `report`: tables, figures and the paper's claims."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.report", __doc__)  # before the imports, which take seconds
+
 from pathlib import Path
 
 from prefect import flow
 
-from flows.start import main
 from tasks import progress, report, score
 from tasks.params import Params
 from tasks.workspace import Workspace
@@ -19,7 +23,3 @@ def run(source: str, params: Params, root: Path) -> None:
     summary = report.write(workspace, score.load(workspace), params.train.noises, params.report.figure_dpi)
     progress.table(f"scores on {source}", [{k: row[k] for k in SHOWN if k in row} for row in summary])
     progress.say(f"report of {source}: {workspace.reports / 'report.md'}")
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,6 +1,10 @@
 """All stages in order, outside DVC: in a small size (`make run`), with other parameters, in a workspace of its own."""
 
-import argparse
+from flows.start import main_apart
+
+if __name__ == "__main__":
+    main_apart("flows.reproduce", __doc__)  # before the imports, which take seconds
+
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,11 +12,10 @@ from typing import Any
 from prefect import flow
 
 from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
-from flows.start import PARAMS, add_overrides, alone, guarded, read_overrides
 from simgap.types import SimgapError
 from tasks import progress
 from tasks.diagnose import PAGE
-from tasks.params import Params, load_params
+from tasks.params import Params
 from tasks.workspace import Workspace
 
 
@@ -45,26 +48,3 @@ def run(source: str, params: Params, root: Path) -> None:
     )
     if failures:
         raise failures[0]
-
-
-def _main() -> None:
-    parser = argparse.ArgumentParser(description=run.__doc__)
-    parser.add_argument("source", nargs="?", default="virtual", help="a block of params.yaml's recordings")
-    parser.add_argument("--workspace", type=Path, required=True, help="folder for data, models and report")
-    add_overrides(parser)
-    parser.add_argument("--recordings", type=Path, help="folder that takes the place of the source's own")
-    arguments = parser.parse_args()
-
-    def work() -> None:
-        overrides = read_overrides(arguments)
-        if arguments.recordings:
-            overrides.append({"recordings": {arguments.source: {"folder": str(arguments.recordings)}}})
-        params = load_params(PARAMS, *overrides)
-        with alone(arguments.workspace, arguments.source):
-            run(arguments.source, params, arguments.workspace)
-
-    guarded(work)
-
-
-if __name__ == "__main__":
-    _main()

@@ -1,12 +1,16 @@
 """Stage `score`: every model of the grid on the test sessions."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.score", __doc__)  # before the imports, which take seconds
+
 import time
 from pathlib import Path
 
 from prefect import flow
 
 from flows import provenance
-from flows.start import main
 from tasks import progress, score, train
 from tasks.params import Params
 from tasks.workspace import Workspace
@@ -28,7 +32,3 @@ def run(source: str, params: Params, root: Path) -> None:
                 else:
                     progress.say(f"no model of {cell.name}: left out of the scores")
     score.write(workspace, rows)
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,5 +1,10 @@
 """Stage `track`: every policy on the robot, along an ellipse and a helix."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.track", __doc__)  # before the imports, which take seconds
+
 import time
 from pathlib import Path
 
@@ -7,7 +12,6 @@ from prefect import flow
 
 from flows import policy as policy_flow
 from flows import provenance
-from flows.start import main
 from simgap.policies.follow import Run
 from simgap.types import SimgapError
 from tasks import files, policy, progress, track, tracking
@@ -56,7 +60,3 @@ def run(source: str, params: Params, root: Path) -> list[track.Row]:
     progress.table(f"tracking on {source}", [{k: row.get(k, "") for k in SHOWN} for row in summary])
     progress.say(f"report of tracking on {source}: {workspace.tracking / 'report.md'}")
     return rows
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,5 +1,10 @@
 """Stage `train`: SIM-MODEL, FSVGD and Sim-FSVGD over N and seeds; the simulator also with what a diagnosis adds."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.train", __doc__)  # before the imports, which take seconds
+
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +13,6 @@ from prefect import flow
 
 from flows import provenance
 from flows.fan_out import Place, fan_out
-from flows.start import main
 from simgap.types import SimgapError
 from tasks import diagnosed, files, fingerprint, progress, tracking, train
 from tasks.params import Params
@@ -62,7 +66,3 @@ def _diagnose(places: list[Place], params: Params, codes: fingerprint.Codes) -> 
                 files.remove_file(workspace.record(place[1]), workspace.root)
                 failed[place] = str(state.message)
     return failed
-
-
-if __name__ == "__main__":
-    main(run)

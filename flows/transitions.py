@@ -1,10 +1,14 @@
 """Stage `transitions`: sessions to rows for learning."""
 
+from flows.start import main
+
+if __name__ == "__main__":
+    main("flows.transitions", __doc__)  # before the imports, which take seconds
+
 from pathlib import Path
 
 from prefect import flow
 
-from flows.start import main
 from tasks import progress, transitions
 from tasks.params import Params
 from tasks.workspace import SPLITS, Workspace
@@ -16,7 +20,3 @@ def run(source: str, params: Params, root: Path) -> None:
     workspace, time_step = Workspace(root, source), 1 / params.transitions.nominal_rate_hz
     counts = {split: transitions.prepare(workspace, split, time_step) for split in SPLITS}
     progress.say(f"transitions of {source}: " + ", ".join(f"{n:,} {split}" for split, n in counts.items()))
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,11 +1,17 @@
-"""The nouns of the project: what is recorded, what is learnt from, what is predicted; and protocols."""
+"""The nouns of the project: what is recorded, what is learnt from, what is predicted; and protocols.
+
+Imports neither NumPy nor JAX: commands report wrong arguments before these are loaded.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-from jaxtyping import Array, Float, Int
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Array, Float, Int
 
 MOST_ROWS = 2_000_000
 """Most rows of a session: half an hour at 1 kHz, a day at 20 Hz. With twenty columns these are 320 MB."""
@@ -172,10 +178,6 @@ class Prior(NamedTuple):
 
     mean: Float[Array, "k y"]
     precision: Float[Array, "o k k"]
-
-
-DynamicsModel = Callable[[Float[Array, " x"]], Prediction]
-"""A learnt model of the dynamics: one input x to the predictive distribution of y."""
 
 
 class Policy(Protocol):

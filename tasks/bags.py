@@ -32,11 +32,6 @@ class Message(NamedTuple):
     content: Any
 
 
-def is_bag(path: Path) -> bool:
-    """Whether it is an MCAP file, or a folder that a ROS 2 recorder wrote."""
-    return path.suffix.lower() == ".mcap" or (path / "metadata.yaml").is_file()
-
-
 def messages(path: Path, topics: Set[str]) -> Iterator[Message]:
     """The messages of these topics, in no certain order; RecordingError where the bag is damaged or lacks a topic."""
     read = _mcap(path, topics) if path.is_file() else _ros2(path, topics)

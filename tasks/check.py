@@ -76,6 +76,7 @@ def page(name: str, checked: Checked, simulator: StepModel) -> str:
                [(n, k.position, f"{k.slope:.3f}", f"{k.correlation:.3f}") for n, k in survey.kinematics.items()]),
         "<h2>What the commands do</h2>",
         "<p>An effect can be learnt where its command moves, apart from the other commands.</p>",
+        "<p>The machine takes no commands.</p>" if not schema.command else
         _table(("command", "moves", "changes", "least", "greatest", "nine tenths of its power below [Hz]", "most like"),
                [(n, f"{e.moving:.0%}", f"{e.changes:.0%}", f"{e.low:.3g}", f"{e.high:.3g}", f"{e.band_hz:.2f}",
                  f"{e.like} ({e.correlation:+.2f})" if e.like else "-") for n, e in survey.excitation.items()]),

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from simgap.diagnosis.words import NO_COMMANDS
 from tasks import diagnosis_plots as plots
 
 Values = Mapping[str, Any]
@@ -451,7 +452,8 @@ def _alternatives(diagnosis: Values, evidence: Values) -> str:
             f"<table class='bars half'><caption>Other explanations and their probability</caption>{rows}</table>"
         )
     experiment = diagnosis.get("experiment")
-    unasked = "no further experiment is called for.</p>"
+    silent = NO_COMMANDS in (diagnosis.get("notes") or [])
+    unasked = f"no {'experiment can be proposed' if silent else 'further experiment is called for'}.</p>"
     if not alternatives:
         parts.append("<p>No other explanation is in the running" + ("." if experiment else f", and {unasked}"))
     if not experiment:

@@ -34,9 +34,8 @@ from simgap.recordings import Normalisation, check_recording
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
 from simgap.types import MOST_ROWS, Field, Recording, RecordingError, Schema, SimgapError
+from tasks.sessions import session_files
 
-SUFFIXES = (".csv", ".parquet", ".pickle")
-"""What a session's file may end in, in upper or lower case."""
 ROW_LIMIT = 2**20
 """Most characters in a row of a CSV file: some ten thousand columns."""
 LARGEST = float(np.sqrt(np.finfo(np.float32).max / MOST_ROWS))
@@ -67,7 +66,7 @@ def read_recordings(
     recordings: list[Recording] = []
     errors: list[RecordingError] = []
     seen: dict[str, Path] = {}
-    paths = _session_files(folder, patterns)
+    paths = session_files(folder, patterns)
     for path in paths:
         name = session_name(folder, path)
         try:
@@ -89,9 +88,24 @@ def read_recordings(
     return recordings, errors
 
 
+class _WithoutCommands(Schema):
+    """The schema of a machine without commands, as `check_recording` takes it: with one, of which no file has a column.
+
+    `simgap.recordings` has no case for it, as a change there makes every trained model stale.
+    """
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return ("time_s", *(f.name for f in self.state))
+
+
 def checked(path: Path, schema: Schema, columns: _Columns) -> Recording:
     """Columns as a recording that can be computed with; RecordingError that names file, column, row and remedy."""
-    recording = check_recording(schema, str(path), columns)
+    if schema.command:
+        recording = check_recording(schema, str(path), columns)
+    else:
+        recording = check_recording(_WithoutCommands(schema.state, schema.state[:1], schema.mounts), str(path), columns)
+        recording = recording._replace(command=np.empty((len(recording.time_s), 0)))
     for name in schema.columns:
         beyond = np.flatnonzero(np.abs(columns[name]) > LARGEST)
         if beyond.size:
@@ -130,7 +144,7 @@ def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
 
 def session_names(folder: Path) -> list[str]:
     """Names of the sessions under a folder, whether they can be used or not."""
-    return [session_name(folder, path) for path in _session_files(folder, ("**/*",))]
+    return [session_name(folder, path) for path in session_files(folder)]
 
 
 def _relative_name(name: str) -> str:
@@ -142,31 +156,6 @@ def _relative_name(name: str) -> str:
             "the recordings' folder. Rename the session."
         )
     return name
-
-
-def _session_files(folder: Path, patterns: Sequence[str]) -> list[Path]:
-    """The session files that match, by relative path."""
-    if not folder.is_dir():
-        raise RecordingError(
-            f"{folder}: there is no such folder. Give the folder of the recording set, or put the sessions there."
-        )
-    found: set[Path] = set()
-    for pattern in patterns:
-        try:
-            if ".." in PurePosixPath(pattern).parts:
-                raise ValueError("it leaves the folder")
-            found.update(p for p in folder.glob(pattern) if p.suffix.lower() in SUFFIXES and not p.is_dir())
-        except (ValueError, NotImplementedError) as error:
-            raise RecordingError(
-                f"{folder}: the pattern {pattern!r} cannot be used ({error}). Give one relative to the folder, "
-                "like `day_1/*` or `**/*`."
-            ) from None
-    if not found:
-        raise RecordingError(
-            f"{folder}: no file matches {', '.join(patterns)} and ends in {', '.join(SUFFIXES)}. "
-            "Change the patterns, or put the sessions there."
-        )
-    return sorted(found, key=lambda path: path.relative_to(folder).as_posix())
 
 
 def _columns(path: Path, schema: Schema, time_step: float) -> _Columns:

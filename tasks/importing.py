@@ -14,9 +14,9 @@ from simgap.resample import Stream
 from simgap.types import MOST_ROWS, ConfigError, RecordingError, Schema
 from tasks import bags, files
 from tasks.forms import check
+from tasks.sessions import TABLES
 from tasks.yaml_files import read_yaml
 
-TABLES = (".csv", ".parquet")
 _SHOWN = 200  # characters of a bag's own text in a message
 _LINES, _LINE = 20, 1000  # lines, and characters in each, of a message of a mapping file
 
@@ -34,11 +34,14 @@ class Column(_Block):
     unit: str = Field("", description="Of the values; empty: the schema's.")
     frame: Literal["world", "body"] | None = Field(None, description="Of the values; empty: the schema's.")
     sign: Literal[1, -1] = Field(1, description="-1 where the robot counts the other way round.")
+    time: Literal["received", "header"] | None = Field(None, description="Of a bag's messages; empty: the mapping's.")
 
     @model_validator(mode="after")
     def _one_place(self) -> "Column":
         if bool(self.column) == bool(self.topic) or bool(self.topic) != bool(self.field):
             raise ValueError("give topic and field, for a bag, or column, for a table")
+        if self.column and self.time:
+            raise ValueError("`time` is of a bag's messages; a table has one column of stamps, `time: {column: ...}`")
         return self
 
 
@@ -90,20 +93,6 @@ def _check_columns(mapping: MappingFile, schema: Schema) -> None:
         if column.frame and column.frame != fields[name].frame and fields[name] in schema.command:
             raise ConfigError(f"columns.{name}.frame: commands are in the frame of the schema, {fields[name].frame}. "
                               "Give them so.")  # fmt: skip
-
-
-def sources(folder: Path) -> list[Path]:
-    """The sessions of a folder, or the one that it is: bags and tables, by path."""
-    if bags.is_bag(folder) or folder.suffix.lower() in TABLES:
-        return [folder]
-    if not folder.is_dir():
-        raise RecordingError(f"{folder}: there is no such bag, table or folder. Give the folder of the recordings.")
-    found = [p for p in folder.rglob("*") if p.suffix.lower() in TABLES or bags.is_bag(p)]
-    # What lies in a ROS 2 bag's folder is part of that bag.
-    alone = [p for p in found if not any(bags.is_bag(parent) for parent in p.parents)]
-    if not alone:
-        raise RecordingError(f"{folder}: holds no MCAP file, ROS 2 bag, CSV or Parquet file. Give another folder.")
-    return sorted(alone)
 
 
 def import_session(path: Path, name: str, mapping: MappingFile, schema: Schema, out: Path) -> dict[str, int]:
@@ -185,9 +174,10 @@ def _of_bag(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, np.
     values = {name: array("d") for name in mapping.columns}
     first: int | None = None
     for message in bags.messages(path, by_topic.keys()):
-        stamp = _stamp(message, path) if mapping.time.bag == "header" else message.received_ns
-        first = stamp if first is None else first
         for name, field in by_topic[message.topic]:
+            by_header = (mapping.columns[name].time or mapping.time.bag) == "header"
+            stamp = _stamp(message, path) if by_header else message.received_ns
+            first = stamp if first is None else first
             times[name].append((stamp - first) * 1e-9)  # nanoseconds since 1970 do not fit a float
             values[name].append(_value(message.content, field, f"{path}: topic {message.topic}"))
             if len(values[name]) > MOST_ROWS:
@@ -201,15 +191,18 @@ def _stamp(message: bags.Message, path: Path) -> int:
     seconds = _member(stamp, "sec")
     nanoseconds = next((n for n in (_member(stamp, "nanosec"), _member(stamp, "nsec")) if n is not None), None)
     if seconds is None or nanoseconds is None:
-        raise RecordingError(f"{path}: topic {message.topic} has no stamped header. Give `time: {{bag: received}}`.")
+        raise RecordingError(
+            f"{path}: topic {message.topic} has no stamped header. Give `time: received` for its columns."
+        )
     try:
         if abs(int(seconds)) < 2**63 and abs(int(nanoseconds)) < 2**63:
             return int(seconds) * 1_000_000_000 + int(nanoseconds)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise RecordingError(f"{path}: topic {message.topic} has a header stamped {str(seconds)[:_SHOWN]} s and "
-                         f"{str(nanoseconds)[:_SHOWN]} ns; both must be whole numbers. Give `time: {{bag: received}}`."
-                         )  # fmt: skip
+    raise RecordingError(
+        f"{path}: topic {message.topic} has a header stamped {str(seconds)[:_SHOWN]} s and "
+        f"{str(nanoseconds)[:_SHOWN]} ns; both must be whole numbers. Give `time: received` for its columns."
+    )
 
 
 def _member(content: Any, name: str) -> Any:

@@ -1,18 +1,17 @@
 """Progress for people: bars with rates and remaining time in a terminal, a line now and then in a log."""
 
 import logging
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from prefect.exceptions import MissingContextError
-from prefect.logging import get_run_logger
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from simgap.types import Report, SimgapError
+from simgap.types import Report
 
 _EVERY_S = 15.0
 console = Console()
@@ -116,20 +115,25 @@ def say(line: str) -> None:
 
 def _log(line: str) -> None:
     """The line for Prefect's pages, where a flow runs; in a terminal Prefect prints warnings and errors alone."""
+    if "prefect" not in sys.modules:  # loading it takes seconds, and no flow runs without
+        return
+    from prefect.exceptions import MissingContextError
+    from prefect.logging import get_run_logger
+
     with suppress(MissingContextError):
         get_run_logger().info(line)
 
 
 def quiet_libraries() -> None:
-    """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks of explained errors."""
+    """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks."""
     for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
     # That a server is gone is told once; this would tell it again for every try.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
     for name in ("prefect.flow_runs", "prefect.task_runs"):
-        logging.getLogger(name).addFilter(_needs_a_traceback)
+        logging.getLogger(name).addFilter(_has_no_traceback)
 
 
-def _needs_a_traceback(record: logging.LogRecord) -> bool:
-    # An error that explains itself is told once, where the run ends.
-    return not (record.exc_info and isinstance(record.exc_info[1], SimgapError))
+def _has_no_traceback(record: logging.LogRecord) -> bool:
+    # An error is reported once, where the process ends.
+    return not record.exc_info

@@ -1,15 +1,20 @@
 """Simulators of a user's own: found by name, and checked before anything is computed with them.
 
 What a simulator gets wrong shows up far from its cause, as a fit that does not converge; so every member is looked at
-here, and a message says what must hold, what came and what to do.
+here, and a message says what must hold, what came and what to do. The check runs the user's code for the first time: it
+runs in a process of its own (`tasks.trial`), as that code may end its process or never end.
 """
 
 import importlib
+import importlib.util
+import inspect
 import math
+import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
+from types import FunctionType, ModuleType
 from typing import Any, NamedTuple, cast, get_args
 
 import jax
@@ -19,74 +24,96 @@ from jaxtyping import Array, Float
 
 from simgap.simulators.spot import Spot
 from simgap.types import Axis, ConfigError, Field, Frame, Kind, Parameter, Schema, StepModel
+from tasks import simulator_names, trial
+from tasks.simulator_names import BUILT_IN
 
-BUILT_IN: dict[str, Callable[[], StepModel]] = {"spot": Spot}
-"""Simulators with a name of their own."""
 MEMBERS = ("schema", "parameters", "time_step", "step")
 """What a `StepModel` has."""
-
 _TYPICAL = {"position": 0.3, "angle": 0.3, "velocity": 0.2, "force": 1.0}
 # Kinds that say the same of a body's axis: where it is, how fast it moves, what drives it.
 _STATE_ROLES = {"position": "position or angle", "angle": "position or angle", "velocity": "velocity"}
 _COMMAND_ROLES = {"velocity": "velocity or force", "force": "velocity or force"}
 _HELP = "docs/simulators.md has a complete example."
+_RAISED = (Exception, SystemExit)
+"""What a user's code may raise: anything, and a script without a guard even exits."""
 
 
 def load(spec: str) -> StepModel:
     """The simulator that `spec` names: a built-in one, or `package.module:name`, an object or what makes one.
 
-    `name` may be an instance, or a class or function that gives one when called without arguments. The module must be
-    importable as it stands. Raises ConfigError when there is no such simulator or when it fails `check`.
+    `name` may be an instance, or a class or function of that module that gives one when called without arguments. The
+    module must be importable as it stands. Raises ConfigError when there is no such simulator, when it fails `check`,
+    or when its code ends its process or does not end.
     """
     if spec in BUILT_IN:
-        return BUILT_IN[spec]()
-    module, colon, name = spec.partition(":")
-    if not colon or not name.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
-        raise ConfigError(
-            f"The simulator must be {' or '.join(BUILT_IN)}, or given as package.module:name, like "
-            f"examples.drive:DRIVE; {spec!r} is neither. Write the module with dots, without .py, and the object's "
-            "name behind a colon."
-        )
-    simulator = _made(_attribute(_imported(module, spec), name, spec), spec)
-    check(simulator, spec)
-    return cast(StepModel, simulator)
+        return Spot()
+    trial.check(spec)
+    return cast(StepModel, make(find(spec), spec))
 
 
-def _imported(module: str, spec: str) -> Any:
+def find(spec: str) -> Any:
+    """What `package.module:name` names, as it stands there."""
+    module, name = simulator_names.place(spec)
     try:
-        return importlib.import_module(module)
+        found = _imported(module)
     except ImportError as error:
         raise ConfigError(
-            f"{spec}: the module {module} must be importable; importing it gave {_reason(error)}. Start the command in "
-            "the folder that holds it, or install it and what it needs into this environment."
+            f"{spec}: the module {module} must be importable; importing it gave {reason(error)}. Install what it needs "
+            "into this environment."
         ) from None
-    except (Exception, SystemExit) as error:  # a user's module may do anything, a script without a guard even exit
+    except _RAISED as error:
         raise ConfigError(
-            f"{spec}: the module {module} must import without an error; importing it gave {_reason(error)}. Mend the "
+            f"{spec}: the module {module} must import without an error; importing it gave {reason(error)}. Correct the "
             "module, and keep what a script does below `if __name__ == '__main__':`."
         ) from None
-
-
-def _attribute(module: Any, name: str, spec: str) -> Any:
-    if hasattr(module, name):
-        return getattr(module, name)
-    there = [n for n, value in vars(module).items() if hasattr(value, "step") and not n.startswith("_")]
+    if hasattr(found, name):
+        return getattr(found, name)
+    there = [n for n, value in vars(found).items() if not n.startswith("_") and _has(value, "step")]
     raise ConfigError(
-        f"{spec}: the module must have the object {name}; it has not. Mend the name behind the colon (objects with a "
-        f"step are {', '.join(there) or 'none'})."
+        f"{spec}: the module must have the object {name}; it has not. Correct the name behind the colon (objects with "
+        f"a step are {', '.join(there) or 'none'})."
     )
 
 
-def _made(found: Any, spec: str) -> Any:
-    """The object itself, or what the class or function gives."""
-    if not isinstance(found, type) and (not callable(found) or hasattr(found, "step")):
+def _imported(module: str) -> ModuleType:
+    """The module; the user's own where a library's has its name, under another name: the library keeps its place."""
+    top, dot, rest = module.partition(".")
+    own = simulator_names.users_own(top)
+    if own is None:
+        return importlib.import_module(module)
+    alias = f"own_{top}"
+    if alias not in sys.modules:
+        found = importlib.util.spec_from_file_location(
+            alias, own.origin, submodule_search_locations=own.submodule_search_locations
+        )
+        assert found is not None  # it has a loader
+        assert found.loader is not None
+        sys.modules[alias] = importlib.util.module_from_spec(found)
+        try:
+            found.loader.exec_module(sys.modules[alias])
+        except BaseException:
+            del sys.modules[alias]
+            raise
+    return importlib.import_module(f"{alias}{dot}{rest}")
+
+
+def make(found: Any, spec: str) -> Any:
+    """The object itself, or what the class or function gives that its module defines; nothing else is called."""
+    if not isinstance(found, type | FunctionType):
         return found
+    module, name = simulator_names.place(spec)
+    if found.__module__ not in (module, f"own_{module}"):
+        raise ConfigError(
+            f"{spec}: a class or function that makes the simulator must be defined in {module}; this one is of "
+            f"{found.__module__}. Name it there, as {found.__module__}:{found.__name__}, or write "
+            f"`SIMULATOR = {name}()` in {module} and give {module}:SIMULATOR."
+        )
     try:
         return found()
-    except Exception as error:
+    except _RAISED as error:
         raise ConfigError(
             f"{spec}: a class or function must give the simulator when called without arguments; it gave "
-            f"{_reason(error)}. Give its arguments defaults, or name an object that is made already."
+            f"{reason(error)}. Give its arguments defaults, or name an object that is made already."
         ) from None
 
 
@@ -96,23 +123,43 @@ def check(simulator: Any, name: str) -> None:
     The step is tried at the nominal parameters, with all states and commands zero and with typical ones: it must give
     a finite next state, the same each time, under jax.jit, jax.vmap and jax.jacfwd.
     """
-    missing = [m for m in MEMBERS if not hasattr(simulator, m)]
+    missing = [m for m in MEMBERS if not _has(simulator, m)]
     if missing:
         raise ConfigError(
             f"{name}: a simulator must have {', '.join(MEMBERS)}; {type(simulator).__name__} lacks "
             f"{', '.join(missing)}. Add what is missing: {_HELP}"
         )
-    _check_schema(simulator.schema, name)
-    _check_time_step(simulator.time_step, name)
-    _check_parameters(simulator.parameters, name)
+    members = {m: _member(simulator, m, name) for m in MEMBERS}
+    _check_schema(members["schema"], name)
+    _check_time_step(members["time_step"], name)
+    _check_parameters(members["parameters"], name)
     try:
         hash(simulator)
-    except TypeError as error:
+    except _RAISED as error:
         raise ConfigError(
-            f"{name}: a simulator must be hashable, as compiled code is kept by it; {error}. Write "
+            f"{name}: a simulator must be hashable, as compiled code is kept by it; {reason(error)}. Write "
             "@dataclass(frozen=True) over its class, with tuples for lists and arrays."
         ) from None
     _check_step(simulator, name)
+
+
+def _has(simulator: Any, member: str) -> bool:
+    """Whether it has the member, without running code of its own."""
+    try:
+        inspect.getattr_static(simulator, member)
+    except AttributeError:
+        return False
+    return True
+
+
+def _member(simulator: Any, member: str, name: str) -> Any:
+    try:
+        return getattr(simulator, member)
+    except _RAISED as error:
+        raise ConfigError(
+            f"{name}: {member} must be there to be read; reading it gave {reason(error)}. Correct the property, or "
+            "store the value when the simulator is made."
+        ) from None
 
 
 # Schema
@@ -126,13 +173,13 @@ def _check_schema(schema: Any, name: str) -> None:
         )
     for what, fields in (("state", schema.state), ("command", schema.command)):
         _check_tuple(fields, Field, "Field(...)", f"schema.{what}", name)
-        if not fields:
-            raise ConfigError(
-                f"{name}: schema.{what} must have at least one Field; it has none. A robot without a {what} cannot be "
-                "diagnosed: add the columns that its recordings have."
-            )
         for field in fields:
             _check_field(field, name)
+    if not schema.state:
+        raise ConfigError(
+            f"{name}: schema.state must have at least one Field; it has none. What is not measured cannot be "
+            "diagnosed: add the columns that its recordings have. (schema.command may be empty.)"
+        )
     twice = _duplicates(schema.columns)
     if twice:
         raise ConfigError(
@@ -295,10 +342,10 @@ def _outputs(simulator: StepModel, trial: _Trial, name: str) -> Float[np.ndarray
     params, states, commands = trial
     try:
         outputs = [simulator.step(params, s, u) for s, u in zip(states, commands, strict=True)]
-    except Exception as error:
+    except _RAISED as error:
         raise ConfigError(
             f"{name}: step must run on arrays of {len(params)} parameters, {states.shape[1]} states and "
-            f"{commands.shape[1]} commands; at nominal parameters it gave {_reason(error)}. Mend the step."
+            f"{commands.shape[1]} commands; at nominal parameters it gave {reason(error)}. Mend the step."
         ) from None
     for output in outputs:
         shape = getattr(output, "shape", None)
@@ -316,9 +363,9 @@ def _check_traceable(simulator: StepModel, trial: _Trial, name: str) -> None:
     try:
         traced = jax.eval_shape(simulator.step, params, states[0], commands[0])
         jax.eval_shape(jax.vmap(simulator.step, (None, 0, 0)), params, states, commands)
-    except Exception as error:
+    except _RAISED as error:
         raise ConfigError(
-            f"{name}: jax.jit and jax.vmap must be able to trace step; that gave {_reason(error)}. Use jax.numpy "
+            f"{name}: jax.jit and jax.vmap must be able to trace step; that gave {reason(error)}. Use jax.numpy "
             "instead of numpy and math, and jnp.where instead of `if` on values."
         ) from None
     if traced.dtype != states.dtype:
@@ -335,9 +382,9 @@ def _check_differentiable(simulator: StepModel, trial: _Trial, name: str) -> Non
 
     try:
         jacobians = jax.jit(jax.vmap(slopes, (None, 0, 0)))(*trial)
-    except Exception as error:
+    except _RAISED as error:
         raise ConfigError(
-            f"{name}: jax.jacfwd must be able to differentiate step; that gave {_reason(error)}. Use operations of "
+            f"{name}: jax.jacfwd must be able to differentiate step; that gave {reason(error)}. Use operations of "
             "jax.numpy, without callbacks to Python and without custom_vjp."
         ) from None
     schema = simulator.schema
@@ -376,11 +423,14 @@ def _duplicates(names: Iterable[str]) -> list[str]:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except _RAISED:  # a user's own
+        return f"one whose repr fails ({type(value).__name__})"
     return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"
 
 
-def _reason(error: BaseException) -> str:
+def reason(error: BaseException) -> str:
     """The error in one line, and where in the user's code it arose."""
     said = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
     frame = _own_frame(traceback.extract_tb(error.__traceback__))

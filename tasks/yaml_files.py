@@ -21,8 +21,8 @@ class _Problem(yaml.MarkedYAMLError):
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses what YAML admits and nobody means: a key that stands twice, of which the last would win; and what can fill
-    memory: nesting without end, and parts that repeat others."""
+    """Refuses what YAML admits and nobody means: a key that stands twice, of which the last would win; and what can
+    fill memory: nesting without end, and parts that repeat others."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__(stream)

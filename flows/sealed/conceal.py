@@ -1,11 +1,15 @@
 """Stage `conceal`: recordings with concealed effects, their keys sealed."""
 
+from flows.sealed.start import main
+
+if __name__ == "__main__":
+    main("flows.sealed.conceal", __doc__)  # before the imports, which take seconds
+
 import time
 from pathlib import Path
 
 from prefect import flow
 
-from flows.sealed.start import main
 from tasks import fingerprint, progress
 from tasks.params import SealedParams
 from tasks.sealed import conceal
@@ -22,7 +26,3 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
         manifest = conceal.write(workspace, params.conceal, code, real, report)
     progress.say(f"{len(manifest['keys'])} cases in {len(manifest['parts'])} parts: {workspace.cases}\n"
                  f"hashes of their keys: {workspace.published}")  # fmt: skip
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,5 +1,10 @@
 """Stage `examine`: every case diagnosed, by processes that cannot open a key."""
 
+from flows.sealed.start import main
+
+if __name__ == "__main__":
+    main("flows.sealed.examine", __doc__)  # before the imports, which take seconds
+
 import queue
 import time
 from pathlib import Path
@@ -7,7 +12,6 @@ from pathlib import Path
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from flows.sealed.start import main
 from simgap.types import SimgapError
 from tasks import files, fingerprint, progress
 from tasks.params import SealedParams
@@ -58,7 +62,3 @@ def _fan_out(
         for examiner in examiners:
             examiner.close()
     return failed
-
-
-if __name__ == "__main__":
-    main(run)

@@ -1,11 +1,15 @@
 """All three sealed stages in order, outside DVC: in a small size (`make run`), or in a workspace of its own."""
 
+from flows.sealed.start import main
+
+if __name__ == "__main__":
+    main("flows.sealed.prove", __doc__)  # before the imports, which take seconds
+
 from pathlib import Path
 
 from prefect import flow
 
 from flows.sealed import conceal, examine, score
-from flows.sealed.start import main
 from tasks.params import SealedParams
 
 
@@ -15,7 +19,3 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     conceal.run(suite, params, root)
     examine.run(suite, params, root)
     score.run(suite, params, root)
-
-
-if __name__ == "__main__":
-    main(run)

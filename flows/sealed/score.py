@@ -1,12 +1,16 @@
 """Stage `score`: what was said against what is true, with report, figures and an MLflow run of the suite."""
 
+from flows.sealed.start import main
+
+if __name__ == "__main__":
+    main("flows.sealed.score", __doc__)  # before the imports, which take seconds
+
 import time
 from pathlib import Path
 
 from prefect import flow
 
 from flows import provenance
-from flows.sealed.start import main
 from tasks import progress, tracking
 from tasks.params import SealedParams
 from tasks.sealed import score
@@ -29,7 +33,3 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     progress.table(f"scores on {suite}", [{"score": s.name, "value": s.value, "n": s.n, "goal": s.goal} for s in table])
     progress.say(f"report of {suite}: {workspace.report(opened.code, opened.manifest['round']) / 'report.md'}")
     progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
-
-
-if __name__ == "__main__":
-    main(run)

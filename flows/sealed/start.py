@@ -1,35 +1,38 @@
 """How a sealed stage is started from the command line: `python -m flows.sealed.<stage> SUITE`."""
 
 import argparse
-from collections.abc import Callable
+import sys
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
 
-from flows.start import add_overrides, guarded, held, read_overrides
-from tasks import files, fingerprint
-from tasks.params import load_sealed
-from tasks.sealed.conceal import SUITES
-from tasks.sealed.workspace import SealedWorkspace
+from flows.start import add_overrides, check_files, guarded, held, prepared, read_overrides
+from tasks.sealed.workspace import SUITES, SealedWorkspace
 
 PARAMS = Path("sealed/params.yaml")
 FOLDERS = ("data/sealed", "keys", "examinations", "reports/sealed")
 """What sealed stages write to."""
 
 
-def main(run: Callable[..., Any]) -> None:
-    """Run a stage's flow in the project's folders, or in those of a workspace apart."""
-    parser = argparse.ArgumentParser(description=run.__doc__)
+def main(stage: str, description: str | None) -> NoReturn:
+    """Run the flow of the module `stage` in the project's folders, or in those of a workspace apart, and end."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("suite", choices=SUITES)
     parser.add_argument("--workspace", type=Path, default=Path(), help="folder for recordings, keys and report")
     add_overrides(parser)
     arguments = parser.parse_args()
-    fingerprint.diagnosing_code()
 
     def work() -> None:
+        check_files(PARAMS, *arguments.overrides)
+        from tasks import files, fingerprint
+        from tasks.params import load_sealed
+
         params = load_sealed(PARAMS, *read_overrides(arguments))
+        fingerprint.diagnosing_code()
+        flow = prepared(stage)
         with held(SealedWorkspace(arguments.workspace, arguments.suite).lock):
             for folder in FOLDERS:
                 files.remove_unfinished(arguments.workspace / folder)
-            run(arguments.suite, params, arguments.workspace)
+            flow.run(arguments.suite, params, arguments.workspace)
 
     guarded(work)
+    sys.exit(0)

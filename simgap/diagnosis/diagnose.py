@@ -124,7 +124,7 @@ def _judged(
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[tell.Plan | None, list[str]]:
     """For the least certain effect, what would separate it from its rival; or a note why nothing does."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
-    if not contested:
+    if not contested or not found.problem.augmented.layout.schema.command:
         return None, []
     member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
     about, ids = [member.candidate, rival.candidate], (member.candidate.effect.id, rival.candidate.effect.id)

@@ -73,7 +73,7 @@ def sent_before(
     """What was sent before a row of a session: the last HISTORY_ROWS + WARM commands, the latest first; and where each
     command turned before the last WARM of them. Before the session, its first command was sent all along."""
     past = command[np.maximum(row - 1 - np.arange(HISTORY_ROWS + WARM), 0)]
-    return past, np.stack([_turns(u) for u in command[: max(row - WARM, 1)].T], axis=1)
+    return past, np.reshape([_turns(u) for u in command[: max(row - WARM, 1)].T], (-1, TURNS)).T
 
 
 def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:

@@ -305,7 +305,8 @@ def _untested(found: Explanation) -> list[str]:
 
 
 def _notes(found: Explanation, sessions: Sessions) -> list[str]:
-    notes = list(confidence.at_bound(found.problem, found.fit).values())
+    notes = [] if found.problem.augmented.layout.schema.command else [words.NO_COMMANDS]
+    notes += confidence.at_bound(found.problem, found.fit).values()
     notes += [
         f"{p.name} is not determined: the recordings do not depend on it, or its derivative is not finite."
         for p, seen in zip(found.problem.augmented.simulator.parameters, found.sd.seen, strict=True)

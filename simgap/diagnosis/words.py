@@ -40,6 +40,9 @@ def during(when: When | None, session: str | None, regime: str | None) -> str:
     return f" It acts from {when.from_s:.1f} s to {when.to_s:.1f} s of session {session} only."
 
 
+NO_COMMANDS = "The machine takes no commands, so no experiment can be proposed."
+
+
 def experiment(designed: Experiment, ids: Sequence[str]) -> str:
     """What to command, and what for."""
     return (

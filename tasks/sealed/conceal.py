@@ -16,10 +16,8 @@ from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
 from tasks import files
 from tasks.params import ConcealParams, FolderParams
-from tasks.sealed.workspace import AFTER, BEFORE, SealedWorkspace
+from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 
-EXAMINATION = "examination"
-SUITES = ("development", EXAMINATION, "engine", "real")
 ROWS, PIECES = 241, 8
 """Of a real robot's recordings: rows of a piece, and pieces before and after."""
 SALT_BYTES = 16

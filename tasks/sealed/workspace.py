@@ -5,6 +5,8 @@ from pathlib import Path
 
 from tasks import names
 
+EXAMINATION = "examination"
+SUITES = ("development", EXAMINATION, "engine", "real")
 BEFORE, AFTER = "before", "after"
 """Folders of a case whose question is what changed."""
 

@@ -12,6 +12,7 @@ import yaml
 
 from flows import deployments, sweep
 from flows.command import parser
+from tasks.params import load_params
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -111,6 +112,11 @@ def test_every_simgap_command_of_the_docs_is_understood() -> None:
                 parser().parse_args(shlex.split(part, comments=True))
             except SystemExit:
                 raise AssertionError(f"{page}: {command}") from None
+
+
+def test_the_source_of_the_docs_is_one_of_params_yaml() -> None:
+    (block,) = re.findall(r"```yaml\n(recordings:.*?)```", (ROOT / "docs/recordings.md").read_text(), re.DOTALL)
+    assert load_params(ROOT / "params.yaml", yaml.safe_load(block)).source("mine")
 
 
 def test_the_benchmarks_are_there() -> None:

@@ -191,10 +191,31 @@ def test_the_command_line(tmp_path: Path) -> None:
 # The page
 
 
-def test_the_pages_example_is_a_simulator() -> None:
+def printed() -> str:
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "simulators.md").read_text(), re.DOTALL)
+    return code
+
+
+def test_the_pages_example_works_under_the_name_that_the_page_gives_it(tmp_path: Path) -> None:
+    """`pendulum:PENDULUM finds ./pendulum.py`, and not the library of that name."""
+    page = (ROOT / "docs" / "simulators.md").read_text()
+    ((spec, file),) = re.findall(r"--simulator (\w+:\w+)` finds `\./([\w.]+)`", page)
+    (tmp_path / file).write_text(printed())
+    time = np.arange(400) * 0.02
+    for name, phase in (("one", 0.0), ("two", 1.0)):
+        rows = np.stack([time, 0.1 * np.sin(time + phase), 0.1 * np.cos(time + phase), np.sin(2 * time + phase)], 1)
+        text = "time_s,angle,rate,torque\n" + "\n".join(",".join(map(str, row)) for row in rows)
+        (tmp_path / f"{name}.csv").write_text(text)
+    simgap = Path(sys.executable).parent / "simgap"
+    command = [simgap, "check", ".", "--simulator", spec]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 sessions, 800 rows" in done.stdout
+
+
+def test_the_pages_example_is_a_simulator() -> None:
     made: dict = {}
-    exec(code, made)
+    exec(printed(), made)
     check(made["PENDULUM"], "pendulum.py:PENDULUM")
     # At rest at the bottom it stays; a torque of 1 N m on 0.5 kg m^2 gives 2 rad/s^2.
     step = made["PENDULUM"].step

@@ -272,6 +272,83 @@ def test_a_unit_of_another_quantity_is_refused() -> None:
         resample.factor("deg", "m")
 
 
+PRINTED = {
+    "/odom": "nav_msgs/msg/Odometry", "/hand/pose": "geometry_msgs/msg/PoseStamped",
+    "/hand/twist": "geometry_msgs/msg/TwistStamped", "/cmd_vel": "geometry_msgs/msg/Twist",
+    "/hand/cmd": "std_msgs/msg/Float64MultiArray",
+}  # fmt: skip
+"""What is on the topics of the mapping in the docs. Commands have no header."""
+
+
+def write_printed(path: Path, late_ns: int) -> None:
+    """The drive as the mapping of the docs has it; messages come in `late_ns` after they are stamped or sent."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, zeros = store.types, (0.0, 0.0, 0.0)
+
+    def of(name: str, *values: Any) -> Any:
+        return types[name](*values)
+
+    def twist(linear: tuple[float, ...], angular: tuple[float, ...] = zeros) -> Any:
+        vector = "geometry_msgs/msg/Vector3"
+        return of("geometry_msgs/msg/Twist", of(vector, *linear), of(vector, *angular))
+
+    with BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in PRINTED.items()}
+        for ns, topic, content in messages():
+            header = of("std_msgs/msg/Header", of("builtin_interfaces/msg/Time", ns // 10**9, ns % 10**9), "")
+            if topic == "/odom":
+                odom = {**content["twist"]["twist"], "angular": {"x": 0.0, "y": 0.0, "z": 0.5}}  # the docs' are rad/s
+                made = {topic: _odometry(types, ns, {**content, "twist": {"twist": odom}})}
+            elif topic == "/hand":
+                x, y, z, vx, vy, vz = content["data"]
+                yaw = float(motion(np.array([(ns - EPOCH_NS) * 1e-9]))["base_yaw"][0])
+                own = (math.cos(yaw) * vx + math.sin(yaw) * vy, -math.sin(yaw) * vx + math.cos(yaw) * vy, -vz)
+                at = of("geometry_msgs/msg/Point", x / 1000, y / 1000, z)
+                pose = of("geometry_msgs/msg/Pose", at, of("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0))
+                made = {"/hand/pose": of(PRINTED["/hand/pose"], header, pose),
+                        "/hand/twist": of(PRINTED["/hand/twist"], header, twist(own))}  # fmt: skip
+            else:
+                vx, vy, wz, *hand = content["data"]
+                layout = of("std_msgs/msg/MultiArrayLayout", [], 0)
+                hand = np.array([hand[0], hand[1], -hand[2]])
+                made = {"/cmd_vel": twist((vx, vy, 0.0), (0.0, 0.0, wz)),
+                        "/hand/cmd": of(PRINTED["/hand/cmd"], layout, hand)}  # fmt: skip
+            for name, message in made.items():
+                received = ns + (late_ns if "cmd" not in name else 0)
+                writer.write(connections[name], received, store.serialize_cdr(message, PRINTED[name]))
+
+
+def test_the_mapping_of_the_docs_works_as_printed(tmp_path: Path) -> None:
+    """Under its name, on a bag with the messages it is for. States are stamped, and come in late; commands are not."""
+    page = (Path(__file__).parents[2] / "docs" / "own_robot.md").read_text()
+    (printed,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "mapping.yaml").write_text(printed)
+    write_printed(tmp_path / "walk", late_ns=200_000_000)
+    import_recordings(tmp_path / "walk", tmp_path / "mapping.yaml", tmp_path / "out", "spot")
+    ((recording,), errors) = files.read_recordings(tmp_path / "out", SCHEMA, 1 / 15)
+    assert not errors
+    time = np.arange(len(recording.time_s)) / 15
+    np.testing.assert_allclose(recording.time_s, time, atol=1e-9)
+    expected = motion(time)
+    for i, field in enumerate(SCHEMA.state):
+        gap = recording.state[:, i] - expected[field.name]
+        gap = (gap + np.pi) % (2 * np.pi) - np.pi if field.kind == "angle" else gap
+        np.testing.assert_allclose(gap, 0, atol=2e-4, err_msg=field.name)
+    last = np.searchsorted(STAMPS, time + 1e-9, side="right") - 1
+    for i, field in enumerate(SCHEMA.command):
+        np.testing.assert_allclose(recording.command[:, i], motion(STAMPS)[field.name][last], err_msg=field.name)
+
+
+def test_stamps_of_a_column_are_those_of_a_bags_messages(tmp_path: Path) -> None:
+    columns = {**TABLE["columns"], "ee_x": {"column": "ee_x", "time": "header"}}
+    with pytest.raises(ConfigError, match="`time` is of a bag's messages"):
+        imported(tmp_path, tmp_path / "walk.csv", {**TABLE, "columns": columns})
+    write_ros2(tmp_path / "walk", StoragePlugin.MCAP)
+    columns = {**BAG, "cmd_ee_vx": {**BAG["cmd_ee_vx"], "time": "header"}}
+    with pytest.raises(RecordingError):
+        imported(tmp_path, tmp_path / "walk", mapping(columns))
+
+
 def test_the_commands_are_there_to_be_typed(tmp_path: Path, prefect_server: dict[str, str]) -> None:
     """From a bag to a checked recording, with the installed command."""
     write_mcap(tmp_path / "walk.mcap")
