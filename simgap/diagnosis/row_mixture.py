@@ -217,7 +217,7 @@ def _expect(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Expecte
             extra = -0.5 * (((a - mixture.mean) / mixture.sd) ** 2 + np.log(mixture.sd**2 * curvature))
         columns.append(_log_t(z2, noise, dof).sum(1) + extra)
         if curvature is not None:  # the amplitude is not known exactly
-            z2 = z2 + d**2 / curvature[:, None]
+            z2 = z2 + d**2 / np.expand_dims(curvature, 1)
         squares.append(z2)
         amplitudes.append((a, curvature))
     with np.errstate(divide="ignore"):
