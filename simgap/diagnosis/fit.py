@@ -436,7 +436,7 @@ def lowest(
     root = np.sqrt(np.maximum(curvature, ROUNDING))
     target = -(axes.T @ (gradient / scale)) / root
     bounds = down * scale - NARROW, up * scale + NARROW
-    return lsq_linear(root[:, None] * axes.T, target, bounds, method="bvls").x / scale
+    return np.clip(lsq_linear(root[:, None] * axes.T, target, bounds, method="bvls").x / scale, down, up)
 
 
 def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:
