@@ -87,13 +87,14 @@ def test_a_damaged_bag_is_imported_or_explained(kind: str, seed: int, cut: bool)
         for path, content in whole.items():
             (folder / path).parent.mkdir(exist_ok=True)
             (folder / path).write_bytes(damage(content, rng, cut) if path == victim else content)
+        found, message = [], ""
         try:
             found = bring(folder / name, mapping)
         except SimgapError as error:
-            assert "\n" not in str(error)
-            assert str(folder / name) in str(error)
-            return
-        if kind == "mcap":  # its writer writes checksums
+            message = str(error)
+        assert found or str(folder / name) in message
+        assert "\n" not in message
+        if found and kind == "mcap":  # its writer writes checksums
             for path, content in whole.items():
                 (folder / path).write_bytes(content)
             shutil.rmtree(folder / "out")
@@ -140,7 +141,7 @@ DEEP = "[" * 100_000
         (b"\xff\xff\xff", "UnicodeDecodeError"),
         ('{"value": [[1, 2]]}', "must be a number"),
         ('{"value": null}', "has no 'value'"),
-        ('{"value": 1%s}' % ("0" * 400), "must be a number"),  # noqa: UP031
+        ('{"value": 1%s}' % ("0" * 400), "must be a number"),
         ('{"value": NaN}', "is nan"),
         ('{"value": 1e300}', "is 1e+300"),
         ('{"value": {"x": 0, "y": 0, "z": "left", "w": 1}}', "must be a number"),
@@ -155,7 +156,7 @@ def test_a_json_message_of_another_kind_is_explained(tmp_path: Path, message: st
 
 
 @pytest.mark.parametrize("stamp", ['{"sec": "now", "nanosec": 0}', '{"sec": 1e999, "nanosec": 0}', "[]", "7",
-                                   '{"sec": 1%s, "nanosec": 0}' % ("0" * 30)])  # fmt: skip # noqa: UP031
+                                   '{"sec": 1%s, "nanosec": 0}' % ("0" * 30)])  # fmt: skip
 def test_a_header_of_another_kind_is_explained(tmp_path: Path, stamp: str) -> None:
     write_json(tmp_path / "walk.mcap", {"/all": f'{{"header": {{"stamp": {stamp}}}, "value": 1}}'})
     assert "/all has " in refused(tmp_path / "walk.mcap", {**EVERY, "time": {"bag": "header"}})
