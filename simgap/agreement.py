@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.layout import AXES, Layout, X, Y, commanded, motion
+from simgap.survey import leading
 from simgap.types import Recording, Schema
 
-ROWS = 200_000
-"""Rows of the first sessions that commands are compared in."""
+ROWS = 50_000
+"""Rows of the first sessions, in which commands are compared."""
 DELAY_S = 1.0
 """Longest delay of a command that is looked for [s]."""
 
@@ -82,12 +83,7 @@ def following(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Foll
 
     Velocities are compared in the body's own frame, less what carries the body.
     """
-    used, rows = [], 0
-    for r in recordings:
-        if rows >= ROWS:
-            break
-        used.append(r)
-        rows += len(r.time_s)
+    used = leading(recordings, ROWS)
     session = np.repeat(np.arange(len(used)), [len(r.time_s) for r in used])
     step = float(np.median(np.concatenate([np.diff(r.time_s) for r in used])))
     delays = range(min(int(DELAY_S / step) + 1, 100, len(session) - 1))

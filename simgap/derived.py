@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.layout import Layout
+from simgap.survey import leading
 from simgap.types import Recording, Schema
 
 UNEXPLAINED = 0.25
@@ -22,8 +23,8 @@ at least that noise, a share of 1. The exact velocity of a motion differs from i
 1 / sqrt(6) = 0.41 of its roughness at every frequency (v'' h^2 / 6 against v'' h^2 / sqrt(6) where it is smooth), and
 from the other differences by more; one that a simulator integrates in two steps a row, v' = v + h a / 2, by 0.40.
 """
-LEAST_ROWS = 20
-"""Rows to compare, at least."""
+LEAST_ROWS, MOST_ROWS = 20, 50_000
+"""Rows to compare, at least; and the rows of the first sessions that are enough."""
 FILTER_ROWS, FILTER_MEMORY, FILTER_SHARE = 5, 2, 0.01
 """A filtered difference is a linear function of the differences of so many rows to either side, and of so many of the
 filter's own last outputs, up to this share of what those outputs alone leave open."""
@@ -41,7 +42,7 @@ class Derived(NamedTuple):
 
 
 def derived(schema: Schema, recordings: Sequence[Recording]) -> list[Derived]:
-    """The velocities that are differences of the positions that they change, over all sessions together.
+    """The velocities that are differences of the positions that they change, over the sessions together.
 
     Differences are forward (p[t+1] - p[t]) / h, backward (p[t] - p[t-1]) / h and central (p[t+1] - p[t-1]) / 2h, by the
     rows' own time stamps or by their median interval; angles are differenced the short way round. A filtered
@@ -52,7 +53,8 @@ def derived(schema: Schema, recordings: Sequence[Recording]) -> list[Derived]:
     for p, v in enumerate(Layout(schema).integrates):
         if v < 0:
             continue
-        kind = _kind([_Pair.of(r, p, int(v), schema.state[p].kind == "angle") for r in recordings])
+        angle = schema.state[p].kind == "angle"
+        kind = _kind([_Pair.of(r, p, int(v), angle) for r in leading(recordings, MOST_ROWS)])
         if kind:
             found.append(Derived(schema.state[int(v)].name, schema.state[p].name, kind))
     return found

@@ -41,9 +41,9 @@ class Column(NamedTuple):
 
 
 class Kinematics(NamedTuple):
-    """A velocity against the change of its position: slope of the one on the other and their correlation.
+    """A velocity against the change of its position: slope of the one on the other and their correlation about zero.
 
-    Both are 1 where units, frames and stamps are right.
+    Both are 1 where units, frames and stamps are right. Where one is zero the other is: no mean is taken out.
     """
 
     position: str
@@ -69,6 +69,12 @@ def rate(recording: Recording) -> Rate:
     low, median, high = np.quantile(dt, [0.05, 0.5, 0.95])
     second = float(np.partition(dt, -2)[-2])
     return Rate(median, low, high, float(np.mean(dt > STALL * median)), float(dt.max()), int(dt.argmax()) + 1, second)
+
+
+def leading(recordings: Sequence[Recording], rows: int) -> list[Recording]:
+    """The first sessions that have so many rows together, or all."""
+    ends = np.cumsum([len(r.time_s) for r in recordings])
+    return list(recordings[: int(np.searchsorted(ends, rows)) + 1])
 
 
 def column(recordings: Sequence[Recording], values: Sequence[Float[np.ndarray, " T"]], angle: bool) -> Column:
@@ -99,9 +105,9 @@ def kinematics(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Kin
             moved.append((_wrapped(step) if schema.state[j].kind == "angle" else step) / np.diff(r.time_s))
             told.append((r.state[1:, i] + r.state[:-1, i]) / 2)
         x, y = np.concatenate(told), np.concatenate(moved)
-        if x.std() > 0 and y.std() > 0:
-            slope = float(np.cov(x, y)[0, 1] / x.var(ddof=1))
-            found[velocity.name] = Kinematics(schema.state[j].name, slope, float(np.corrcoef(x, y)[0, 1]))
+        if np.ptp(x) and np.ptp(y):
+            correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
+            found[velocity.name] = Kinematics(schema.state[j].name, float(x @ y / (x @ x)), correlation)
     return found
 
 

@@ -70,8 +70,8 @@ def page(name: str, checked: Checked, simulator: StepModel) -> str:
         _table(("column", "unit", "least", "greatest", "std", "repeats", "jumps"), _columns(schema, survey.columns)),
         _picture(plots.columns(longest, schema), f"{longest.name}, the longest session."),
         "<h2>Do velocities go with positions?</h2>",
-        "<p>Slope and correlation of the change of a position on its velocity; both are 1 where units, frames and "
-        "stamps are right.</p>",
+        "<p>Slope and correlation of the change of a position on its velocity, about zero; both are 1 where units, "
+        "frames and stamps are right.</p>",
         _table(("velocity", "position", "slope", "correlation"),
                [(n, k.position, f"{k.slope:.3f}", f"{k.correlation:.3f}") for n, k in survey.kinematics.items()]),
         "<h2>What the commands do</h2>",

@@ -39,7 +39,7 @@ def waves(step: float, jitter: float = 0.0) -> Motion:
 
 
 def pushed(step: float, held: int, fine: int = 20) -> Motion:
-    """A cart pushed by forces that are new every `held` rows, integrated in `fine` steps by the trapezoid rule."""
+    """A cart pushed by forces that are new every `held` rows, integrated in `fine` steps a row, by trapezoids."""
     forces = np.repeat(np.random.default_rng(2).normal(size=ROWS // held + 1), held * fine)[: ROWS * fine]
     place, speed, x, v = np.empty(ROWS), np.empty(ROWS), 0.0, 0.0
     for i, force in enumerate(forces):

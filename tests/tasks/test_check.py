@@ -115,8 +115,8 @@ def test_good_recordings_have_no_findings_but_what_is_so(tmp_path: Path, capsys:
         (column("ee_z", lambda r: r.ee_z.iloc[r.index // 4 * 4].to_numpy()), "ee_z repeats its last value in 75%"),
         (stuck, "ee_z never changes from 0.5"),
         (paused, "one gap dwarfs all other intervals, in walk_0 60.07 s after row 100; the next longest is 0.0667 s"),
-        (in_body_frame, r"base_vx, base_vy do not match the change of base_x, base_y \(agreement -?0...\); these match if "
-                        r"rotated by base_yaw \(1.00\)"),
+        (in_body_frame, r"base_vx, base_vy do not match the change of base_x, base_y \(agreement -?0...\); "
+                        r"these match if rotated by base_yaw \(1.00\)"),
         (in_body_frame, "ee_vx, ee_vy do not match the change of ee_x, ee_y .* these match if rotated by base_yaw"),
         (driven_in(180 / np.pi), "cmd_base_wz is 7.* times base_wz .*, as between degrees and radians"),
         (driven_in(-1), "base_wz goes against cmd_base_wz"),
@@ -268,6 +268,6 @@ def test_the_real_spot_has_rows_that_last_longer_and_nothing_else() -> None:
 def test_a_folder_in_which_nothing_can_be_used_names_some_of_it(tmp_path: Path) -> None:
     for i in range(100):
         (tmp_path / f"walk_{i}.csv").write_text("a\n1\n")
-    with pytest.raises(RecordingError, match="(?s)none of its 100 session files.*and 80 more") as error:
+    with pytest.raises(RecordingError, match=r"(?s)none of its 100 session files.*and 80 more") as error:
         check.check(tmp_path, Spot())
     assert len(str(error.value).splitlines()) == 22
