@@ -259,7 +259,7 @@ def test_no_page_of_another_server_runs_a_command(place: Place, browser: Any, el
         statuses = page.evaluate(ATTACK, [api, f"touch {place.folder / 'attacked'}"])
         assert all(400 <= status < 500 for status in statuses), (origin, statuses)
     page.close()
-    assert place.api("deployments/name/sweep/small")["pull_steps"] is None
+    assert place.api("deployments/name/sweep/small")["pull_steps"] == []
     assert place.api("flow_runs/filter", {"flow_runs": {"name": {"any_": ["attack"]}}}) == []
     assert not (place.folder / "attacked").exists()
 
