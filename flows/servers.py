@@ -26,7 +26,7 @@ from flows import guard, running
 from flows.running import LOGS, pid_file
 from flows.start import guarded
 from simgap.types import SimgapError
-from tasks import databases, files, progress
+from tasks import files, progress
 
 DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
@@ -70,14 +70,14 @@ def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     known = running.find("prefect")
     login = known.login if known else None if _loopback(host) else running.new_login()
     servers = _servers(host, prefect_port, mlflow_port, runs, login)
-    databases.private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
+    files.keep_private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
         if not DATABASE.exists():
             from tasks import tracking  # seconds of imports, for the first time alone
 
             tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
-        databases.private(DATABASE)
+        files.keep_private(DATABASE)
         for server in servers:
             _start(server)
     width = max(len(server.name) for server in servers)

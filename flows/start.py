@@ -13,7 +13,7 @@ import httpx
 
 from flows import running
 from simgap.types import SimgapError
-from tasks import databases, files, progress
+from tasks import files, progress
 from tasks.params import load_params, read_yaml
 
 PARAMS = Path("params.yaml")
@@ -67,7 +67,7 @@ def guarded(work: Callable[[], Any]) -> None:
     running.end_left_over()
     try:
         if "PREFECT_API_URL" not in os.environ:  # a flow starts a server, which makes it
-            databases.private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
+            files.keep_private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
         work()
     except SimgapError as error:
         progress.say(f"error: {error}")
