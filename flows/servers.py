@@ -26,13 +26,15 @@ from flows import guard, running
 from flows.running import LOGS, pid_file
 from flows.start import guarded
 from simgap.types import SimgapError
-from tasks import databases, files, progress
+from tasks import files, progress
 
 DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
 _TAIL_LINES = 15
 _HERE = "127.0.0.1"
+_NAMES = ("prefect", "mlflow", "deployments")
 _LOGINS = ("PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING")
+"""Of the server that a command starts for itself: those started here have another login, or none."""
 
 
 class Server(NamedTuple):
@@ -44,7 +46,6 @@ class Server(NamedTuple):
     address: str
     healthy: Callable[[], bool]
     port: int | None = None
-    login: str | None = None
 
 
 def main() -> None:
@@ -67,19 +68,21 @@ def main() -> None:
 def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     """Start what is not running, wait until all of it is well, and say where it is."""
     files.make_folder(LOGS)
-    known = running.find("prefect")
+    known = next((there for name in _NAMES if (there := running.find(name))), None)
+    if known and not known.login and not _loopback(host):
+        raise SimgapError(f"The servers run without a login, on this machine alone. `make down` before HOST={host}.")
     login = known.login if known else None if _loopback(host) else running.new_login()
     servers = _servers(host, prefect_port, mlflow_port, runs, login)
-    databases.private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
+    files.keep_private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
         if not DATABASE.exists():
             from tasks import tracking  # seconds of imports, for the first time alone
 
             tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
-        databases.private(DATABASE)
+        files.keep_private(DATABASE)
         for server in servers:
-            _start(server)
+            _start(server, login)
     width = max(len(server.name) for server in servers)
     for server in servers:
         progress.say(f"{server.name:{width}}  {server.address}   ({LOGS / server.name}.log)")
@@ -120,8 +123,8 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: s
     }
     mlflow = {
         "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",  # seven processes, for evaluations of language models
-        "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:{mlflow_port}" for name in names),
-        "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:{mlflow_port}" for name in names),
+        "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:*" for name in names),
+        "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:*" for name in names),
         guard.HOSTS: ",".join(names),
         **({guard.LOGIN: login} if login else {}),
     }
@@ -132,7 +135,7 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: s
           "--workers", "1", "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
           "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
     return [
-        Server("prefect", api, prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port, login),
+        Server("prefect", api, prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port),
         Server("mlflow", ui, mlflow, tracking, lambda: _answers(f"{tracking}/health"), mlflow_port),
         Server("deployments", serve, prefect, f"{pages}/deployments",
                lambda: (LOGS / "deployments.ready").exists()),
@@ -155,7 +158,7 @@ def _names(host: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _start(server: Server) -> None:
+def _start(server: Server, login: str | None) -> None:
     if running.find(server.name):
         if not server.healthy():
             raise SimgapError(
@@ -175,7 +178,7 @@ def _start(server: Server) -> None:
             server.command, env={**inherited, **server.environment}, stdin=subprocess.DEVNULL, stdout=log,
             stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
-    known = {"pid": process.pid, "created": process.create_time(), "address": server.address, "login": server.login}
+    known = {"pid": process.pid, "created": process.create_time(), "address": server.address, "login": login}
     files.write_bytes(pid_file(server.name), json.dumps(known).encode(), private=True)
     deadline = time.monotonic() + _HEALTHY_S
     while not server.healthy():

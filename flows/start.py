@@ -92,10 +92,10 @@ def main_apart(stage: str, description: str | None) -> NoReturn:
 
 def prepared(stage: str) -> Any:
     """The module of a flow, imported; a flow without a server starts one, whose database is its owner's alone."""
-    from tasks import databases
+    from tasks import files
 
     if "PREFECT_API_URL" not in os.environ:
-        databases.private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
+        files.keep_private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
     return import_module(stage)
 
 

@@ -673,6 +673,21 @@ def make_folder(folder: Path) -> None:
         ) from None
 
 
+def keep_private(path: Path) -> None:
+    """Create an empty database if there is none, and take from others the right to read it and what SQLite keeps with
+    it; SimgapError where its folder cannot be written to.
+
+    SQLite gives the files that it adds later the rights of the database. One that is there is not opened: closing it
+    would end the locks that this process holds on it.
+    """
+    make_folder(path.parent)
+    with suppress(OSError):  # another user's database, or a read-only disk: who opens it next says so
+        if not path.exists():
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL, 0o600))
+        for each in (path, *path.parent.glob(f"{path.name}-*")):
+            each.chmod(0o600)
+
+
 def remove_unfinished(folder: Path) -> None:
     """Delete what processes of this machine that are gone were writing in a folder when they were killed."""
     for path in list(folder.rglob(f".{_OWNER}-*.tmp")):

@@ -33,11 +33,12 @@ from mlflow.models import Model, ModelSignature
 from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from mlflow.types import ColSpec, Schema
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID, MLFLOW_RUN_NOTE
+from sqlalchemy import Engine, event
 from sqlalchemy.exc import SQLAlchemyError
 
 from simgap.types import Schema as RobotSchema
 from simgap.types import SimgapError
-from tasks import augmented_pyfunc, databases, files, policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, files, policy_pyfunc, pyfunc
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -62,6 +63,7 @@ _HOST, _PID = "simgap.host", "simgap.pid"
 _POINTS = 100  # a curve's, more than a plot shows
 _PARAMS_PER_BATCH, _METRICS_PER_BATCH, _DIGEST_LENGTH, _ERROR_LENGTH = 100, 1000, 36, 1000  # MLflow's, but the last
 _CLOCK_SLACK_S = 60.0
+_PATIENCE_S = 60.0  # with a database that another process has locked
 # The project itself is left out: it is on no index, and the name may come to be another's there.
 _REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxtyping", "numpy", "scipy", "pandas")]
 
@@ -94,7 +96,7 @@ class _Client:
         # Other processes write too; SQLite would give up after five seconds.
         self._uri = uri
         with _explaining(uri):
-            self._client = MlflowClient(f"{uri}?timeout={databases.PATIENCE_S}" if _plain_file(uri) else uri)
+            self._client = MlflowClient(f"{uri}?timeout={_PATIENCE_S}" if _plain_file(uri) else uri)
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._client, name)
@@ -104,6 +106,14 @@ class _Client:
                 return method(*args, **kwargs)
 
         return call
+
+
+@event.listens_for(Engine, "before_cursor_execute", retval=True)
+def _wait(_connection: Any, _cursor: Any, statement: str, parameters: Any, *_: Any) -> tuple[str, Any]:
+    """Every session of MLflow sets 20 s, whatever its address asks for."""
+    if statement.startswith("PRAGMA busy_timeout ="):
+        statement = f"PRAGMA busy_timeout = {_PATIENCE_S * 1000:.0f}"
+    return statement, parameters
 
 
 def _plain_file(uri: str) -> bool:
@@ -159,14 +169,14 @@ def make_database(path: Path, artifacts: Path) -> None:
         new = path.with_name(f"{path.name}.new")
         with _explaining(f"sqlite:///{path}"):
             new.unlink(missing_ok=True)
-            databases.private(new)
+            files.keep_private(new)
             engine = SqlAlchemyStore._get_or_create_engine(f"sqlite:///{new}")
             try:
                 SqlAlchemyStore(f"sqlite:///{new}", artifacts.as_uri())
             finally:
                 engine.dispose()  # MLflow keeps it: the next attempt would write to the file that is deleted first
             new.replace(path)
-    databases.private(path)
+    files.keep_private(path)
 
 
 def pages() -> Any:

@@ -31,7 +31,7 @@ from flows import running
 from flows.start import alone, guarded, held
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks import artifacts, databases, files, tracking
+from tasks import artifacts, files, tracking
 from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
@@ -188,7 +188,7 @@ def locked(database: Path) -> Iterator[None]:
 
 
 def test_a_store_that_stays_locked_is_an_error_when_patience_ends(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(databases, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(tracking, "_PATIENCE_S", 1.0)
     store = tracking.open_store(root, "grid")
     with locked(root / "mlflow.db"):
         start = time.monotonic()
@@ -325,7 +325,7 @@ def test_a_prefect_server_left_by_a_killed_command_is_ended(tmp_path: Path, monk
 
 
 def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(databases, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
     store = tracking.open_store(root, "grid")
 
     def work() -> None:
