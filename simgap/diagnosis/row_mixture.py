@@ -217,12 +217,12 @@ def _expect(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Expecte
             extra = -0.5 * (((a - mixture.mean) / mixture.sd) ** 2 + np.log(mixture.sd**2 * curvature))
         columns.append(_log_t(z2, noise, dof).sum(1) + extra)
         if curvature is not None:  # the amplitude is not known exactly
-            z2 = z2 + d**2 / np.expand_dims(curvature, 1)
+            z2 = z2 + d**2 / curvature[:, None]
         squares.append(z2)
         amplitudes.append((a, curvature))
     with np.errstate(divide="ignore"):
         joint = np.stack(columns, axis=1).astype(np.float64) + np.log(mixture.shares)
-    total = logsumexp(joint, axis=1)
+    total = np.asarray(logsumexp(joint, axis=1))
     chance = np.exp(joint - total[:, None])
     total = total - np.broadcast_to(np.log(width), (n, s)).sum(1)
     belong = _belonging(law, chance.astype(np.float32), s)
