@@ -157,7 +157,7 @@ def screen(
             d = change.reshape(len(some), -1) * root
             d = _beyond_twin(problem, fit, some, d, root)
             d = d - (d @ basis) @ basis.T
-            score, power = (a.reshape(len(some), len(fit.e), -1).sum(2) for a in (-d * residual, d * d))
+            score, power = (a.reshape(len(some), *fit.e.shape).sum(2) for a in (-d * residual, d * d))
             finite = np.isfinite(power.sum(1))
         return [(s, score[i], power[i]) for i, s in enumerate(some) if finite[i]]
 
