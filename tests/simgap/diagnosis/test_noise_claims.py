@@ -85,13 +85,17 @@ def test_intervals_of_edges_hold_the_truth_as_often_as_they_say(strength: float)
         edges = np.array([acts.start, acts.stop]) + rng.integers(-5, 6, 2)
         best = _best(score, power, edges)
         intervals = edges_ci95(rows, When(0, *(STEP * best)), score, power)
-        hits += [low <= STEP * true <= high for (low, high), true in zip(intervals, (acts.start, acts.stop), strict=True)]
+        hits += [
+            low <= STEP * true <= high for (low, high), true in zip(intervals, (acts.start, acts.stop), strict=True)
+        ]
     assert hits.min() >= FEWEST
 
 
 def _best(score: np.ndarray, power: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """The likeliest of the stretches with edges near these."""
-    near = [(a, b) for a in range(edges[0] - 25, edges[0] + 26) for b in range(edges[1] - 25, edges[1] + 26) if b > a + 5]
+    near = [
+        (a, b) for a in range(edges[0] - 25, edges[0] + 26) for b in range(edges[1] - 25, edges[1] + 26) if b > a + 5
+    ]
     s, p = np.append(0, score.cumsum()), np.append(0, power.cumsum())
     a, b = np.array([(a, b) for a, b in near if a >= 0 and b <= len(score)]).T
     best = ((s[b] - s[a]) ** 2 / (p[b] - p[a])).argmax()
