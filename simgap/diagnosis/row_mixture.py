@@ -37,7 +37,7 @@ class Law(NamedTuple):
     """What is fitted. groups: outputs that are wide together. shifts: directions along which rows may lie.
 
     bursts: they are the first row of an event, the second ..., so that no share exceeds the one before. free: the
-    amplitude along them is normal, else 1. everywhere: no row is plain. centred: the amplitude's mean is 0.
+    amplitude along them is normal about the mixture's mean, else 1. everywhere: no row is plain.
     moving: how the noise of each output grows (scale times 1 + slope * moving).
     """
 
@@ -46,7 +46,6 @@ class Law(NamedTuple):
     bursts: bool = False
     free: bool = False
     everywhere: bool = False
-    centred: bool = False
     moving: Float[np.ndarray, "n s"] | None = None
 
 
@@ -65,8 +64,8 @@ class _Expected(NamedTuple):
     """Of the component of every row, given the row and the constants.
 
     density: ln p(e_n). chance [n k]: of its components. spread [s], weight [s]: of the noise's squared scale, summed
-    over rows. by_scale [n s], by_slope [n], by_mean, by_sd [n]: derivatives of ln p(e_n) by ln scale, ln slope, mean,
-    ln sd. mean, sd: of the amplitude, updated. fits [2 s]: expected log-density were dof the next one down or up.
+    over rows. by_scale [n s], by_slope, by_sd [n]: derivatives of ln p(e_n) by ln scale, ln slope, ln sd.
+    sd: of the amplitude, updated. parts: of every width and shift, the chance and the squared innovation in scales.
     """
 
     density: Float[np.ndarray, " n"]
@@ -75,9 +74,7 @@ class _Expected(NamedTuple):
     weight: Float[np.ndarray, " s"]
     by_scale: Float[np.ndarray, "n s"]
     by_slope: Float[np.ndarray, " n"]
-    by_mean: Float[np.ndarray, " n"]
     by_sd: Float[np.ndarray, " n"]
-    mean: float
     sd: float
     parts: list[tuple[np.ndarray, np.ndarray]]
 
@@ -88,6 +85,13 @@ def of_plain(noise: Noise, groups: tuple[Int[np.ndarray, " g"], ...]) -> Mixture
     shares = np.full(1 + wide, 0.02 / max(wide, 1))
     shares[0] = 1 - shares[1:].sum()
     return Mixture(shares, noise)
+
+
+def without_shifts(mixture: Mixture, number: int) -> Mixture:
+    """A mixture whose last components are plain."""
+    shares = mixture.shares[: len(mixture.shares) - number].copy()
+    shares[0] += 1 - shares.sum()
+    return Mixture(shares, mixture.noise)
 
 
 def with_shifts(mixture: Mixture, shares: Float[np.ndarray, " j"]) -> Mixture:
@@ -116,11 +120,6 @@ def density(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> Float[np
     return _expect(law, e, mixture).density
 
 
-def chances(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> Float[np.ndarray, "n k"]:
-    """Probability of every component, given the row."""
-    return _expect(law, e, mixture).chance
-
-
 def interval(
     law: Law,
     e: Float[np.ndarray, "n s"],
@@ -134,17 +133,15 @@ def interval(
     all other constants being free.
     """
     x = _expect(law, e, mixture)
-    kept = _free_shares(law, mixture, len(e))
-    columns = [(x.chance[:, k] - mixture.shares[k]).sum(1) for k in kept]
-    moved = [_moved_shares(mixture, k) for k in kept]
+    # All shares but one can be moved; a burst's own are free here, for where they are held equal they may differ.
+    kept = np.flatnonzero(mixture.shares * len(e) >= 1)[1:]
+    columns = [x.chance[:, k] - mixture.shares[k] for k in kept]
+    moved = [_moved_share(mixture, k) for k in kept]
     columns += [*x.by_scale.T]
     moved += [lambda h, j=j: _moved_scale(mixture, j, h) for j in range(e.shape[1])]
     if law.free:
         columns.append(x.by_sd)
         moved.append(lambda h: mixture._replace(sd=mixture.sd * np.exp(h)))
-        if not law.centred:
-            columns.append(x.by_mean)
-            moved.append(lambda h: mixture._replace(mean=mixture.mean + h))
     if law.moving is not None:
         columns.append(x.by_slope)
         moved.append(lambda h: mixture._replace(slope=mixture.slope * np.exp(h)))
@@ -158,17 +155,7 @@ def interval(
     return [float(value * np.exp(-Z95 * sd)), float(value * np.exp(Z95 * sd))]
 
 
-def _free_shares(law: Law, mixture: Mixture, rows: int) -> list[Int[np.ndarray, " j"]]:
-    """Components whose shares can be moved, those of a burst that are held equal together; all but one of them can."""
-    first = len(mixture.shares) - len(law.shifts)
-    kept = [np.array([k]) for k in np.flatnonzero(mixture.shares * rows >= 1) if k < first or not law.bursts]
-    if law.bursts:
-        equal = np.split(np.arange(first, len(mixture.shares)), np.flatnonzero(np.diff(mixture.shares[first:])) + 1)
-        kept += [k for k in equal if mixture.shares[k].sum() * rows >= 1]
-    return kept[1:]
-
-
-def _moved_shares(mixture: Mixture, k: Int[np.ndarray, " j"]) -> Callable[[float], Mixture]:
+def _moved_share(mixture: Mixture, k: int) -> Callable[[float], Mixture]:
     def moved(h: float) -> Mixture:
         shares = mixture.shares.copy()
         shares[k] *= np.exp(h)
@@ -200,13 +187,13 @@ def _expect(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Expecte
     width = np.ones((1, s)) if law.moving is None else 1 + mixture.slope * law.moving
     unit = (noise.scale * width).astype(np.float32)
     z = (e / unit).astype(np.float32)
-    widths = (1.0, *WIDE)
-    squares = [(z / np.float32(w)) ** 2 for w in widths]
-    each = [_log_t(z2, noise, dof) - np.float32(np.log(w)) for z2, w in zip(squares, widths, strict=True)]
+    widths = np.array([1.0, *WIDE], np.float32)
+    squares = [(z / w) ** 2 for w in widths]
+    each = [_log_t(z2, noise, dof) - np.log(w) for z2, w in zip(squares, widths, strict=True)]
     columns = [each[0].sum(1)]
     for group in law.groups:
         rest = np.setdiff1d(np.arange(s), group)
-        columns += [x[:, group].sum(1) + each[0][:, rest].sum(1) for x in each[1:]]
+        columns += [np.take(x, group, axis=1).sum(1) + np.take(each[0], rest, axis=1).sum(1) for x in each[1:]]
     amplitudes = []
     for d in law.shifts:
         d = (d / unit).astype(np.float32)
@@ -237,17 +224,15 @@ def _expect(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Expecte
     by_slope = np.zeros(n)
     if law.moving is not None:
         by_slope = (by_scale * (mixture.slope * law.moving / width)).sum(1)
-    by_mean, by_sd, mean, sd = np.zeros(n), np.zeros(n), mixture.mean, mixture.sd
+    by_sd, sd = np.zeros(n), mixture.sd
     if law.free:
         r = chance[:, -len(law.shifts) :]
         a, curvature = (np.stack(x, axis=1).astype(np.float64) for x in zip(*amplitudes, strict=True))
-        mass = max(float(r.sum()), 1e-9)
-        mean = 0.0 if law.centred else float((r * a).sum() / mass)
-        sd = max(float(np.sqrt((r * ((a - mean) ** 2 + 1 / curvature)).sum() / mass)), NARROWEST)
-        by_mean = (r * (a - mixture.mean)).sum(1) / mixture.sd**2
-        by_sd = (r * (((a - mixture.mean) ** 2 + 1 / curvature) / mixture.sd**2 - 1)).sum(1)
+        squared = r * ((a - mixture.mean) ** 2 + 1 / curvature)
+        sd = max(float(np.sqrt(squared.sum() / max(float(r.sum()), 1e-9))), NARROWEST)
+        by_sd = (squared / mixture.sd**2 - r).sum(1)
     parts = list(zip(belong, squares, strict=True))
-    return _Expected(total, chance, spread, weight, by_scale, by_slope, by_mean, by_sd, mean, sd, parts)
+    return _Expected(total, chance, spread, weight, by_scale, by_slope, by_sd, sd, parts)
 
 
 def _amplitudes(
@@ -292,7 +277,7 @@ def _maximised(law: Law, mixture: Mixture, x: _Expected, renew: bool) -> Mixture
         step = float(np.clip(score.sum() / max(float(score @ score), 1e-9), -0.5, 0.5))
         slope *= np.exp(step)
         noise = Noise(noise.scale * np.where(grows, np.exp(-along * step), 1.0), noise.dof)
-    return Mixture(shares, noise, x.mean, x.sd, slope)
+    return Mixture(shares, noise, mixture.mean, x.sd, slope)
 
 
 def _dof(noise: Noise, before: Noise, x: _Expected) -> Noise:
