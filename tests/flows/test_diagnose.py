@@ -159,6 +159,7 @@ def test_wrong_input_is_explained_without_a_traceback(
     [
         ({"recordings": Path("nowhere")}, "nowhere: there is no such folder"),
         ({"simulator": "mine"}, "package.module:name"),
+        ({"simulator": "os:abort"}, "a simulator must have schema"),
         ({"heldout": Path("rail")}, "a session must serve one purpose"),
         ({"baseline": Path("rail")}, "a session must serve one purpose"),
         ({"out": Path("mine.py")}, "mine.py: must be a folder"),
@@ -167,6 +168,7 @@ def test_wrong_input_is_explained_without_a_traceback(
 def test_wrong_input_is_refused_before_any_work(
     folder: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str], given: dict[str, Any], words: str
 ) -> None:
+    """In the flow, which Prefect's form starts too."""
     monkeypatch.chdir(folder)
     right = {"recordings": Path("rail"), "simulator": "examples.drive:DRIVE", "baseline": None, "heldout": None}
     served = temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]})
