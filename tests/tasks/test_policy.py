@@ -171,7 +171,7 @@ def test_the_projects_parameters_are_the_papers() -> None:
     [
         ({"environment": {"reward": {"weight": 1.0}}}, ["policy.environment", "unknown key weight"]),
         ({"learning": {"environment_steps": 3000}}, ["policy.learning", "environment_steps is 3000"]),
-        ({"sac": {"tau": 0.0}}, ["policy.sac", "tau is 0"]),
+        ({"sac": {"tau": 0.0}}, ["policy.sac.tau: ", "greater than 0; it is 0.0"]),
         ({"environment": {"command_limit": [1.0]}}, ["policy.environment", "command_limit"]),
     ],
 )
