@@ -200,7 +200,7 @@ def one_more(
     others, tried = tried[FINALISTS:], []
     for some in _at_once(sorted(finalists, key=lambda t: -t.promise)):
         best = max(t.gain for t in (*fitted, *finalists, *tried))
-        tried += side_by_side(lambda t, far=CONTENDER * best: _to_its_end(problem, t) if t.promise >= far else t, some)
+        tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, some)
     tried = sorted([*fitted, *tried, *others], key=lambda t: -t.gain)
     say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
@@ -210,8 +210,26 @@ def _at_once(ordered: Sequence) -> list[Sequence]:
     return [ordered[first : first + THREADS] for first in range(0, len(ordered), THREADS)]
 
 
+def _contends(t: Tried, best: float) -> bool:
+    """Whether a hypothesis may gain as much as the best; one with basins may stand in a low one as yet."""
+    return t.promise >= (HOPELESS if t.candidate.effect.basins else CONTENDER) * best
+
+
 def _to_its_end(problem: Problem, t: Tried) -> Tried:
-    return t.further(lambda f: optimise(problem, f, settled(t.gain))[0])
+    """Fitted until steps gain next to nothing; where there are basins, from every start beyond where it stands too.
+
+    From these with derivatives at the start itself: those at hand do not lead from there, nor do parameters as fitted
+    in another basin.
+    """
+    ends = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
+    if t.candidate.effect.basins:
+        group = t.candidate.groups[0]
+        now = float((t.fit.v.gated if group.gated else t.fit.v.theta)[group.entries[0]])
+        for start in (s for s in t.candidate.starts if s[0] > now):
+            begun = evaluate(problem, vary(t.without.v, t.candidate, start), t.fit.groups, t.without.noise)
+            if np.isfinite(begun.loglik):
+                ends.append(t.further(lambda _, begun=begun: optimise(problem, begun, settled(t.gain))[0]))
+    return max(ends, key=lambda end: end.gain)
 
 
 def promising(found: Sequence[Screened]) -> list[Screened]:

@@ -104,9 +104,10 @@ class Effect:
     id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales, site):
     internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants ("never";
     "same_unit": alike axes; "any"). lasts: what a filter remembers outlasts any rest; it hangs on where commands
-    turned, not on how long ago. jagged: the likelihood has many summits along the constant. event: it acts during a
-    stretch of one session. law: see the module of its place. says: a sentence for people, with the constants' names to
-    fill in.
+    turned, not on how long ago. jagged: the likelihood has many summits along the constant. basins: it has a few; the
+    simulator's parameters lead to one with too small a constant, so that fits begin at all starts. event: it acts
+    during a stretch of one session. law: see the module of its place. says: a sentence for people, with the constants'
+    names to fill in.
     """
 
     id: str
@@ -119,6 +120,7 @@ class Effect:
     form: str = ""
     lasts: bool = False
     jagged: bool = False
+    basins: bool = False
     event: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
 

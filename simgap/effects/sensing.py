@@ -66,7 +66,7 @@ EFFECTS = (
         "sensor_delay", "sensing",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(SENSED_ROWS)),),
         _sensor_sites, lambda scales, site: [[rows + 0.5] for rows in range(SENSED_ROWS)], _delay,
-        "measurements are {delay} older than their time stamp", tie="any",
+        "measurements are {delay} older than their time stamp", tie="any", basins=True,
     ),
     Effect(
         "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), _output_sites,

@@ -26,7 +26,6 @@ SCHEMA = Schema(
     state=(*_cart("left"), *_cart("right")),
     command=tuple(Field(f"cmd_{body}", "N", "force", "world", body, "x") for body in ("left", "right")),
 )
-ALONE = Schema(state=_cart("left"), command=())
 
 
 @dataclass(frozen=True)
@@ -40,18 +39,6 @@ class Pair:
     def step(self, params, state, command):
         one = Drive(self.time_step).step
         return jnp.concatenate([one(params, state[:2], command[:1]), one(params, state[2:], command[1:])])
-
-
-@dataclass(frozen=True)
-class Coasting:
-    """A drive without commands."""
-
-    time_step: float = 0.02
-    schema: Schema = ALONE
-    parameters: tuple[Parameter, ...] = PARAMETERS
-
-    def step(self, params, state, command):  # noqa: ARG002
-        return Drive(self.time_step).step(params, state, jnp.zeros(1))
 
 
 def side_by_side() -> list[Recording]:
@@ -103,11 +90,3 @@ def test_two_laws_that_are_one_have_no_experiment(pair: Model) -> None:
 def test_a_pair_that_diverges_is_no_evidence(pair: Model) -> None:
     found = proposed(pair, ("viscous_drag on right_v", 0.5), ("viscous_drag on right_v", 1e6), side_by_side())
     assert not isinstance(found, Experiment) or found.nats < 1e5
-
-
-def test_a_machine_without_commands_has_no_experiment() -> None:
-    recordings = [r._replace(command=r.command[:, :0]) for r in driven((2.5, 5.0))]
-    model = optimised(posed(Coasting(), recordings))
-    found = proposed(model, ("coulomb_friction on left_v", 0.1), ("viscous_drag on left_v", 0.1), recordings)
-    assert isinstance(found, NoExperiment)
-    assert "commanded" in found.reason

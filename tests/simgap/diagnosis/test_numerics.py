@@ -32,8 +32,8 @@ from simgap.types import Parameter, Recording, Schema
 
 
 def posed(simulator, recordings: list[Recording]) -> Problem:
-    augmented = Augmented(simulator)
-    of = Problem(augmented, measure(augmented, recordings), cut(recordings, simulator.time_step), np.eye(2))
+    augmented, outputs = Augmented(simulator), recordings[0].state.shape[1]
+    of = Problem(augmented, measure(augmented, recordings), cut(recordings, simulator.time_step), np.eye(outputs))
     return of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
 
 
