@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.row_mixture import Law
 from simgap.diagnosis.scatter_of_rows import HELD, Robot, Sample
 from simgap.diagnosis.screen import BLOCK
 
@@ -12,7 +11,7 @@ NAMES = tuple("abcdef")
 ROBOT = Robot(STEP, STEP, NAMES, NAMES[:2], {"base": np.arange(3), "hand": np.arange(3, 6)}, [("", NAMES)])
 ROWS, UNSEEN = 1200, 400
 """Fitted rows, and held-out ones."""
-STALL, JITTER, SLOPE = 0.05, 0.2, 2.0
+STALL, JITTER, SLOPE = 0.05, 0.4, 2.0
 """Share of rows that hold a stall of one or two intervals; standard deviation of intervals; growth of the noise."""
 LOST, BURST = 0.02, 3
 """Chance that a command begins a burst of lost ones, and rows of a burst."""
@@ -94,13 +93,3 @@ def _planted(
         case "jitter":
             return plain + JITTER * rng.normal(size=(n, 1)) * advance
     return plain
-
-
-def groups() -> tuple[np.ndarray, ...]:
-    """Outputs that are wide together."""
-    return (np.arange(len(NAMES)), *ROBOT.bodies.values())
-
-
-def no_shift(e: Float[np.ndarray, "n s"]) -> Law:
-    """Of noise without a name."""
-    return Law(groups(), e[:0, None])
