@@ -21,14 +21,14 @@ _VERDICTS = {
     "parameters_only": ("Only parameters were wrong", "#8a6100"),
     "nothing": ("Nothing is missing", "#2b7a4b"),
     "unexplained": ("Unexplained mismatch", "#6b3fa0"),
-    "inconclusive": ("Too little data to say", "#5b6472"),
+    "inconclusive": ("Cannot say", "#5b6472"),
 }
 _NO_EFFECTS = {
     "missing_physics": "No effect is described.",
     "parameters_only": "No physics is missing: other parameters of the simulator explain the difference (section 5).",
     "nothing": "No physics is missing: what the simulator and the recordings differ by is noise.",
     "unexplained": "Something is missing that no effect of the vocabulary explains; section 1 says where it shows.",
-    "inconclusive": "The recordings cannot show whether an effect is missing.",
+    "inconclusive": "Whether an effect is missing cannot be said:",
 }
 _FLOOR, _FLOOR_OF_NOISE = 0.02, 0.5  # least top of the colour scales [nats a row]; noise is not to glow
 _CANDIDATES, _INTERVALS, _SESSIONS = 8, 8, 6  # shown at most
@@ -254,7 +254,7 @@ def _what(diagnosis: Values, evidence: Values) -> str:
 
 def _insufficient(reasons: Sequence[Values]) -> str:
     """Why nothing can be concluded, and what to record."""
-    items = "".join(f"<li>{escape(r['reason'])}. <b>Record {escape(r['record'])}.</b></li>" for r in reasons)
+    items = "".join(f"<li>{escape(r['reason'])}. <b>{escape(r['remedy'])}.</b></li>" for r in reasons)
     return f"<ul>{items}</ul>" if items else ""
 
 

@@ -37,13 +37,16 @@ class Verdict(NamedTuple):
     parameters_moved: bool
 
 
-def conclude(found: Explanation, judged: Judgement, seen: Sensitivity, rng: np.random.Generator) -> Verdict:
+def conclude(
+    found: Explanation, judged: Judgement, seen: Sensitivity, beyond: Explanation | None, rng: np.random.Generator
+) -> Verdict:
     """The verdict on the best explanation, by what held-out sessions say of it.
 
-    With a baseline a black box has no say: most of what it finds was there before.
+    `beyond`: what is found when parameters may leave their ranges, where some would. Nothing that these explain as well
+    is claimed. With a baseline a black box has no say: most of what it finds was there before.
     """
     nobody = tuple(False for _ in found.members)
-    if not judged.heldout or seen.few:
+    if not judged.heldout or seen.few or (beyond is not None and not beyond.anything):
         return Verdict("inconclusive", nobody, False, None, (), {}, False)
     heldout = dict(judged.heldout)
     box, refitted = heldout.pop("black_box"), heldout["refitted"]
@@ -51,7 +54,10 @@ def conclude(found: Explanation, judged: Judgement, seen: Sensitivity, rng: np.r
     share = None if found.baseline else judge.explained_share(refitted, augmented, box, rng)
     beaten = () if found.baseline else tuple(judge.beats(list(heldout.values()), box))
     little = share is not None and share["ci95"][1] < EXPLAINED
-    named = tuple(_stands(found, judged, i, little, rng) for i in range(len(found.members)))
+    named = tuple(
+        (beyond is None or m.candidate.effect.id in beyond.ids) and _stands(found, judged, i, little, rng)
+        for i, m in enumerate(found.members)
+    )
     moved = judge.surely_likelier(heldout["as_is"], refitted)
     pairs = [("as_is", "refitted"), *([("as_is", "augmented"), ("refitted", "augmented")] if found.members else [])]
     worse = {pair: judge.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}

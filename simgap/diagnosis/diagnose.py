@@ -9,6 +9,7 @@ from jaxtyping import Float
 from simgap.diagnosis import black_box, experiment, judge, tell
 from simgap.diagnosis.adequacy import conclude
 from simgap.diagnosis.candidates import candidates
+from simgap.diagnosis.confidence import at_bound
 from simgap.diagnosis.explain import Explanation, explain
 from simgap.diagnosis.explain import split as split
 from simgap.diagnosis.heldout import seen_at
@@ -74,7 +75,8 @@ def diagnose(
     judged = _judged(found, contestants, training, heldout)
     problem = found.problem
     seen = sensitivity(problem, found.rounds[0].screening, candidates(problem.augmented, problem.scales))
-    outcome = tell.Outcome(contestants, judged, seen, conclude(found, judged, seen, rng))
+    beyond = _beyond_ranges(found, simulator, (training, heldout, baseline), rng, say)
+    outcome = tell.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
     say("looking for the experiment that would tell explanations apart")
     plan, none = _experiment(found, training)
     sessions = tell.Sessions(training, heldout, baseline)
@@ -83,6 +85,23 @@ def diagnose(
     evidence = tell.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
     return Diagnosis(statement, evidence, _model(found), commands)
+
+
+def _beyond_ranges(
+    found: Explanation,
+    simulator: StepModel,
+    sessions: tuple[Sequence[Recording], Sequence[Recording], Sequence[Recording]],
+    rng: np.random.Generator,
+    say: Say,
+) -> Explanation | None:
+    """What is found when parameters may leave their ranges; None where none is at the end of its range.
+
+    A range that is too narrow shows as physics that is missing: what is claimed must not depend on it.
+    """
+    if not found.anything or not at_bound(found.problem, found.base):
+        return None
+    say(f"the same with ranges that do not hold, as {', '.join(at_bound(found.problem, found.base))} would leave them")
+    return explain(simulator, *sessions, rng, say, ranges_hold=False)
 
 
 def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:

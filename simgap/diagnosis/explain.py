@@ -66,6 +66,16 @@ class Explanation(NamedTuple):
         return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
 
     @property
+    def anything(self) -> bool:
+        """Whether an effect was found, or something without a name."""
+        return bool(self.members or self.left.nats.any() or self.law.terms)
+
+    @property
+    def ids(self) -> set[str]:
+        """Of the effects found."""
+        return {m.candidate.effect.id for m in self.members}
+
+    @property
     def regime(self) -> Regime:
         """In which one of the effects acts."""
         return (self.when and self.when.regime) or EVERYWHERE
@@ -101,15 +111,17 @@ def explain(
     baseline: Sequence[Recording],
     rng: np.random.Generator,
     say: Say,
+    ranges_hold: bool = True,
 ) -> Explanation:
-    """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`."""
+    """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`, `ranges_hold` as in
+    `Problem`."""
     augmented = Augmented(simulator)
     layout = augmented.layout
     sessions = [*baseline, *training]
     scales, time_step = measure(augmented, sessions), simulator.time_step
     chunks = behind_gate(cut(sessions, time_step), len(baseline))
     unseen = cut(heldout, time_step, least=len(chunks.row))
-    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.state)))
+    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.state)), ranges_hold)
     as_is = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(as_is.e))
     throughout, events = candidates(augmented, scales), candidates(augmented, scales, events=True)

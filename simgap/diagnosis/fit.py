@@ -56,12 +56,16 @@ PRIOR_PRECISION = 1.0
 
 
 class Problem(NamedTuple):
-    """Recordings and the simulator to explain them; `whiten` decorrelates the innovations' outputs."""
+    """Recordings and the simulator to explain them; `whiten` decorrelates the innovations' outputs.
+
+    ranges_hold: parameters stay in their declared ranges. Without, it is asked what other ranges would explain.
+    """
 
     augmented: Augmented
     scales: Scales
     chunks: Chunks
     whiten: Float[np.ndarray, "s s"]
+    ranges_hold: bool = True
 
 
 class Group(NamedTuple):
@@ -306,11 +310,16 @@ def _bounds(problem: Problem, v: Variables, group: Group) -> tuple[float, float]
     return min(float((low - here).max()), value), max(float((high - here).min()), value)
 
 
+def _ranges(problem: Problem) -> tuple[Any, Any]:
+    """Least and greatest values that the parameters may have."""
+    return problem.augmented.ranges if problem.ranges_hold else (-np.inf, np.inf)
+
+
 def _room(
     problem: Problem, v: Variables, groups: Sequence[Group]
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
     """How far each free direction can be gone from v, down and up."""
-    (low, high), units = problem.augmented.ranges, spans(problem)
+    (low, high), units = _ranges(problem), spans(problem)
     down = [(low - v.phi) / units, TRUST[0] - v.gain, -CROSS - v.cross]
     up = [(high - v.phi) / units, TRUST[1] - v.gain, CROSS - v.cross]
     for group in groups:
@@ -328,7 +337,7 @@ def _moved(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.nd
     low, high = problem.augmented.bounds
     own = [i for g in groups if not g.gated for i in g.entries]
     theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
-    phi = np.clip(moved.phi, *problem.augmented.ranges)
+    phi = np.clip(moved.phi, *_ranges(problem))
     return Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.gated)
 
 

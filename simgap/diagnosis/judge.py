@@ -124,7 +124,8 @@ def _share_missed(judged: Judged, k: int, i: np.ndarray, outputs: Sequence[int] 
     with np.errstate(over="ignore"):  # a forecast that exploded
         error = (judged.error[i, k][:, chosen] ** 2).mean(0)
     moved = np.maximum((judged.moved[:, k][:, chosen] ** 2).mean(0), 1e-12)
-    return float(np.sqrt((error / moved).mean()))
+    share = float(np.sqrt((error / moved).mean()))
+    return np.inf if np.isnan(share) else share
 
 
 def _distance(judged: Judged, k: int, axes: Sequence[int], i: np.ndarray) -> float:
@@ -152,7 +153,8 @@ def _unit(session: np.ndarray, horizon: int = 1) -> np.ndarray:
 
 def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
     values = [statistic(i) for i in draws]
-    low, high = np.nanquantile(values[1:], [0.025, 0.975])
+    # Of draws themselves: between a finite one and one that exploded there is nothing.
+    low, high = np.nanquantile(values[1:], [0.025, 0.975], method="nearest")
     return {"value": values[0], "ci95": [float(low), float(high)]}
 
 
@@ -169,7 +171,10 @@ def changes(a: Judged, b: Judged, rng: np.random.Generator, outputs: Sequence[in
     draws = resample(a.session, rng)
 
     def more(k: int, i: np.ndarray) -> float:
-        return _share_missed(b, k, i, outputs) / max(_share_missed(a, k, i, outputs), 1e-12) - 1
+        before, after = (_share_missed(j, k, i, outputs) for j in (a, b))
+        if np.isinf(before):  # that forecast exploded
+            return 0.0 if np.isinf(after) else -1.0
+        return after / max(before, 1e-12) - 1
 
     return [_interval(partial(more, k), draws) for k in range(a.error.shape[1])]
 

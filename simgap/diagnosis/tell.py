@@ -51,11 +51,13 @@ class Plan(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What held-out sessions say of the contestants, what the recordings could have shown, and what is concluded."""
+    """What held-out sessions say of the contestants, what the recordings could have shown, what is found when
+    parameters may leave their ranges (where some would), and what is concluded."""
 
     contestants: dict[str, Contestant]
     judged: Judgement
     seen: Sensitivity
+    beyond: Explanation | None
     concluded: Verdict
 
 
@@ -87,7 +89,7 @@ def statement(
         "alternatives": _alternatives(found),
         "experiment": plan and {"statement": words.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
-        "parameters": _parameters(found) | {"moved": concluded.parameters_moved},
+        "parameters": _parameters(found) | {"moved": concluded.parameters_moved, "beyond": _beyond(outcome.beyond)},
         "fit": {
             "heldout_sessions": [r.name for r in sessions.heldout], "least_rows": judge.LEAST_ROWS,
             "models": {model: judge.scores(problem.augmented.layout, j, rng)
@@ -272,6 +274,14 @@ def _parameters(found: Explanation) -> dict[str, Any]:
         "units": {p.name: p.unit for p in simulator.parameters},
         "ranges": {p.name: [p.low, p.high] for p in simulator.parameters},
     }  # fmt: skip
+
+
+def _beyond(loose: Explanation | None) -> dict[str, float]:
+    """Parameters that would leave their ranges, with the values they would take, where nothing else is missing then."""
+    if loose is None or loose.anything:
+        return {}
+    values = zip(loose.problem.augmented.simulator.parameters, map(float, loose.fit.v.phi), strict=True)
+    return {p.name: value for p, value in values if not p.low <= value <= p.high}
 
 
 def _sensitivity(seen: Sensitivity) -> dict[str, Any]:

@@ -57,34 +57,41 @@ def law(term: dict[str, Any]) -> str:
 
 
 def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
-    """Why the recordings cannot show that nothing is missing, and what to record instead."""
+    """Why the recordings cannot show whether something is missing, and what would help."""
     seen, reasons = told["sensitivity"], []
+
+    def add(reason: str, remedy: str) -> None:
+        reasons.append({"reason": reason, "remedy": remedy})
+
     if seen["segments"] < seen["least_segments"]:
-        reasons.append({
-            "reason": f"the fitted recordings are {seen['segments']} independent segments; chance can be judged from "
-                      f"{seen['least_segments']} on",
-            "record": f"at least {seen['least_rows']} rows in the sessions that are fitted",
-        })  # fmt: skip
+        add(
+            f"the fitted recordings are {seen['segments']} independent segments; chance can be judged from "
+            f"{seen['least_segments']} on",
+            f"Record at least {seen['least_rows']} rows in the sessions that are fitted",
+        )
     if not told["fit"]["models"]:
-        reasons.append({
-            "reason": "the held-out sessions are too short to judge a forecast by",
-            "record": f"held-out sessions of at least {told['fit']['least_rows']} rows",
-        })  # fmt: skip
-    if seen["hidden_channels"]:
-        reasons.append({
-            "reason": f"no effect of a usual size on {listed(seen['hidden_channels'])} would have been found",
-            "record": f"steps and reversals of {listed(seen['hidden_channels'])} over the usual range",
-        })  # fmt: skip
-    if seen["hidden_effects"]:
-        where: dict[str, list[str]] = {}
-        for v in seen["effects"]:
-            where.setdefault(v["effect"], []).append(v["where"])
-        places = dict.fromkeys(place for e in seen["hidden_effects"] for place in where[e])
-        reasons.append({
-            "reason": f"{listed([title(e) for e in seen['hidden_effects']])} of a usual size would not have been found "
-                      "anywhere",
-            "record": f"longer sessions with more motion of {listed(list(places))}",
-        })  # fmt: skip
+        add(
+            "the held-out sessions are too short to judge a forecast by",
+            f"Record held-out sessions of at least {told['fit']['least_rows']} rows",
+        )
+    if beyond := told["parameters"]["beyond"]:
+        low, high = ({name: ends[k] for name, ends in told["parameters"]["ranges"].items()} for k in (0, 1))
+        values = [f"{n} = {number(v)} (range {number(low[n])} to {number(high[n])})" for n, v in beyond.items()]
+        add(
+            f"parameters outside their declared ranges would explain the recordings: {listed(values)}",
+            "Widen the ranges if these values are plausible; if they are not, physics is missing",
+        )
+    if channels := seen["hidden_channels"]:
+        add(
+            f"no effect of a usual size on {listed(channels)} would have been found",
+            f"Record steps and reversals of {listed(channels)} over the usual range",
+        )
+    if hidden := seen["hidden_effects"]:
+        where = dict.fromkeys(v["where"] for v in seen["effects"] if v["effect"] in hidden)
+        add(
+            f"{listed([title(e) for e in hidden])} of a usual size would not have been found anywhere",
+            f"Record longer sessions with more motion of {listed(list(where))}",
+        )
     return reasons
 
 
@@ -108,7 +115,9 @@ def statement(told: dict[str, Any]) -> str:
     lines = _VERDICTS[told["verdict"]](told)
     if told["resembles"]:
         lines += " Closest match, which explains only part of the mismatch: " + _statements(told["resembles"])
-    return lines + _improvement(told["fit"]["models"])
+    if told["verdict"] == "missing_physics":
+        lines += _improvement(told["fit"]["models"])
+    return lines
 
 
 def _nothing(told: dict[str, Any]) -> str:
@@ -120,10 +129,10 @@ def _parameters_only(told: dict[str, Any]) -> str:
 
 
 def _inconclusive(told: dict[str, Any]) -> str:
-    reasons = told["insufficient"]
-    why, record = ("; ".join(r[key] for r in reasons) for key in ("reason", "record"))
+    reasons = "; ".join(r["reason"] for r in told["insufficient"])
+    remedies = ". ".join(r["remedy"] for r in told["insufficient"])
     moved = " Other parameters fit the held-out sessions better." if told["parameters"]["moved"] else ""
-    return f"The recordings do not suffice to say whether physics is missing: {why}. Record {record}.{moved}"
+    return f"Cannot say whether physics is missing: {reasons}. {remedies}.{moved}"
 
 
 def _unexplained(told: dict[str, Any]) -> str:
