@@ -22,14 +22,16 @@ WELL_DETERMINED = 5.0
 class Verdict(NamedTuple):
     """What is concluded.
 
-    verdict: as in diagnosis.json. named: of each member, whether it is named. something_else: whether more is missing
-    than what is named. share: of the black box's one-step gain that the members make. beaten_at: horizons [rows] at
-    which a black box surely beats all others on held-out sessions; worse_at: those at which the model on the right is
-    worse than the one on the left. parameters_moved: whether held-out sessions gain by other parameters alone.
+    verdict: as in diagnosis.json. named, possible: of each member, whether it is named, and whether it could be.
+    something_else: whether more is missing than what is named. share: of the black box's one-step gain that the members
+    make. beaten_at: horizons [rows] at which a black box surely beats all others on held-out sessions. worse_at: those
+    at which the second model of a pair is worse than the first. parameters_moved: whether held-out sessions gain by
+    other parameters alone.
     """
 
     verdict: str
     named: tuple[bool, ...]
+    possible: tuple[bool, ...]
     something_else: bool
     share: dict[str, Any] | None
     beaten_at: tuple[int, ...]
@@ -47,7 +49,7 @@ def conclude(
     """
     nobody = tuple(False for _ in found.members)
     if not judged.heldout or seen.few or (beyond is not None and not beyond.anything):
-        return Verdict("inconclusive", nobody, False, None, (), {}, False)
+        return Verdict("inconclusive", nobody, nobody, False, None, (), {}, False)
     heldout = dict(judged.heldout)
     box, refitted = heldout.pop("black_box"), heldout["refitted"]
     augmented = heldout.get("augmented", refitted)
@@ -61,17 +63,21 @@ def conclude(
     moved = judge.surely_likelier(heldout["as_is"], refitted)
     pairs = [("as_is", "refitted"), *([("as_is", "augmented"), ("refitted", "augmented")] if found.members else [])]
     worse = {pair: judge.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
-    verdict = _verdict(found, any(named), share is not None or bool(beaten), moved, seen)
-    return Verdict(verdict, named, little or bool(beaten) or not all(named), share, beaten, worse, moved)
+    # A law with which forecasts explode is no physics, whatever it does to the next row: it stands for nothing.
+    possible = tuple(not any(judge.explodes(a, b) for a, b in _pairs(judged, i)) for i in range(len(named)))
+    verdict = _verdict(found, any(named), any(possible) or share is not None or bool(beaten), moved, seen)
+    something_else = little or bool(beaten) or any(p and not n for p, n in zip(possible, named, strict=True))
+    return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved)
 
 
-def _verdict(found: Explanation, named: bool, by_box: bool, moved: bool, seen: Sensitivity) -> str:
+def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sensitivity) -> str:
+    """`named`: an effect is. `more`: there is one that is not, or a black box finds more."""
     if named:
         return "missing_physics"
     # What is periodic, or odd in single rows, can be foretold in part.
     accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
     nameless = bool(found.left.nats.any() or found.law.terms) and not accounted
-    if found.members or by_box or nameless:
+    if more or nameless:
         return "unexplained"
     if found.scattered:
         return "missing_physics"
@@ -85,11 +91,16 @@ def _stands(found: Explanation, judged: Judgement, i: int, little: bool, rng: np
 
     What makes forecasts worse is a wrong idea, however likely it makes the next row.
     """
-    m, (heldout, fitted) = found.members[i], judged.lacking[i]
-    pairs = ((heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"]))
+    m, pairs = found.members[i], _pairs(judged, i)
     if any(h > 1 for a, b in pairs for h in judge.worse_at(a, b, rng)):
         return False
     return (found.names(m) and not little) or _stands_out(found, m, *pairs[0], rng)
+
+
+def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judged, Judged]]:
+    """The model without a member and the one with it, on held-out and on fitted sessions."""
+    heldout, fitted = judged.lacking[i]
+    return (heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"])
 
 
 def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:

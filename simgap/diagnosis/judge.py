@@ -184,6 +184,13 @@ def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
     return [h for h, c in zip(horizons(a), changes(a, b, rng), strict=True) if c["ci95"][0] > MARGIN]
 
 
+def explodes(a: Judged, b: Judged) -> bool:
+    """Whether forecasts leave the finite numbers with b, and not with a."""
+    every = np.arange(len(a.session))
+    shares = ([_share_missed(j, k, every) for k in range(a.error.shape[1])] for j in (a, b))
+    return any(np.isfinite(x) and not np.isfinite(y) for x, y in zip(*shares, strict=True))
+
+
 def better_of(a: Judged, b: Judged, k: int) -> Judged:
     """The one that misses less of the motion at horizon k; a where they are level."""
     every = np.arange(len(a.session))

@@ -69,10 +69,10 @@ def statement(
     verdict, share = concluded.verdict, concluded.share
     # Where no name stands, what is left over is what the simulator leaves by itself.
     left = leaves(problem, found.base, found.baseline) if verdict == "unexplained" else found.left
-    members = [(sure, m, _effect(found, m, sessions.fitted))
-               for sure, m in zip(concluded.named, found.members, strict=True)]  # fmt: skip
-    effects = [e for sure, _, e in members if sure]
-    doubtful = [e for sure, m, e in members if not sure and _matches(found, m, e)]
+    members = [(m, _effect(found, m, sessions.fitted)) for m in found.members]
+    effects = [e for (_, e), sure in zip(members, concluded.named, strict=True) if sure]
+    matches = [possible and not sure for possible, sure in zip(concluded.possible, concluded.named, strict=True)]
+    doubtful = [e for (m, e), match in zip(members, matches, strict=True) if match and _matches(found, m, e)]
     (effects if verdict == "missing_physics" else doubtful).extend(_scattered(s) for s in found.scattered)
     told = {
         "schema": 1, "simulator": name, "verdict": verdict,
