@@ -26,6 +26,8 @@ CONVERGED = 0.05
 """Gain [nats] of a step below which it ends."""
 RENEWED = 4
 """Steps after which the degrees of freedom are chosen anew."""
+REFITTED = 20
+"""Steps with which shares are fitted anew without a block."""
 NEWTON = 4
 """Steps to a row's likeliest amplitude."""
 NARROWEST = 0.02
@@ -133,7 +135,6 @@ def interval(
     all other constants being free.
     """
     x = _expect(law, e, mixture)
-    # All shares but one can be moved; a burst's own are free here, for where they are held equal they may differ.
     kept = np.flatnonzero(mixture.shares * len(e) >= 1)[1:]
     columns = [x.chance[:, k] - mixture.shares[k] for k in kept]
     moved = [_moved_share(mixture, k) for k in kept]
@@ -153,6 +154,40 @@ def interval(
     along = inverse @ gradient
     sd = np.sqrt(max(float(gradient @ along), float(((block @ along) ** 2).sum())))
     return [float(value * np.exp(-Z95 * sd)), float(value * np.exp(Z95 * sd))]
+
+
+def burst_interval(
+    law: Law,
+    e: Float[np.ndarray, "n s"],
+    mixture: Mixture,
+    starts: Int[np.ndarray, " B"],
+    constant: Callable[[Mixture], float],
+) -> list[float]:
+    """95 % interval of a positive constant of the shares of bursts, which keep their order.
+
+    On a log scale, by the jackknife over blocks of rows: the shares are fitted anew without each [Efron 1981].
+    """
+    number = len(law.shifts)
+    chance, size = _expect(law, e, mixture).chance, np.diff(np.append(starts, len(e)))
+    mine = np.column_stack([chance[:, :-number].sum(1), chance[:, -number:]])
+    at = np.append(mixture.shares[:-number].sum(), mixture.shares[-number:])
+    ratio = mine / np.maximum(at, 1e-12)  # of every component's density to that of the row
+    shares, own = np.tile(at, (len(starts), 1)), np.repeat(np.arange(len(starts)), size)
+    for _ in range(REFITTED):
+        mean = ratio @ shares.T
+        total = shares * (ratio.T @ (1 / mean)).T
+        without = np.add.reduceat(ratio / mean[np.arange(len(e)), own][:, None], starts) * shares
+        shares = (total - without) / (len(e) - size)[:, None]
+        shares[:, 1:] = _falling(shares[:, 1:])
+    values = np.log([constant(mixture._replace(shares=s)) for s in shares])
+    sd = np.sqrt((len(starts) - 1) / len(starts) * ((values - values.mean()) ** 2).sum())
+    value = constant(mixture)
+    return [float(value * np.exp(-Z95 * sd)), float(value * np.exp(Z95 * sd))]
+
+
+def _falling(x: Float[np.ndarray, "B k"]) -> Float[np.ndarray, "B k"]:
+    """The nearest that does not rise, row by row."""
+    return np.stack([isotonic_regression(row, increasing=False).x for row in x])
 
 
 def _moved_share(mixture: Mixture, k: int) -> Callable[[float], Mixture]:
@@ -208,10 +243,10 @@ def _expect(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Expecte
         squares.append(z2)
         amplitudes.append((a, curvature))
     with np.errstate(divide="ignore"):
-        joint = np.stack(columns, axis=1).astype(np.float64) + np.log(mixture.shares)
+        joint = np.column_stack(columns).astype(np.float64) + np.log(mixture.shares)
     total = np.asarray(logsumexp(joint, axis=1))
     chance = np.exp(joint - total[:, None])
-    total = total - np.broadcast_to(np.log(width), (n, s)).sum(1)
+    total = total - (np.zeros((n, s)) + np.log(width)).sum(1)
     belong = _belonging(law, chance.astype(np.float32), s)
     # Of every output: r (u z^2 - 1), with u = (dof + 1) / (dof + z^2).
     weight, by_scale = np.zeros(s), np.full((n, s), -1.0, np.float32)
@@ -255,7 +290,7 @@ def _belonging(law: Law, chance: Float[np.ndarray, "n k"], outputs: int) -> list
     for g, group in enumerate(law.groups):
         for k, r in enumerate(widths):
             r[:, group] += chance[:, [1 + g * len(WIDE) + k]]
-    shifts = [r[:, None] for r in chance[:, 1 + wide :].T]
+    shifts = [chance[:, [k]] for k in range(1 + wide, chance.shape[1])]
     return [np.maximum(1 - sum(widths) - sum(shifts), 0), *widths, *shifts]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis import row_mixture
-from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, raw_innovations, replaced, row_trials
+from simgap.diagnosis.fit import Fit, Noise, Problem, evaluate, log_density, raw_innovations, replaced, row_trials
 from simgap.diagnosis.innovations import Chunks
 from simgap.diagnosis.rivals import compared
 from simgap.diagnosis.row_mixture import Law, Mixture
@@ -92,13 +92,14 @@ def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> 
     """The same, of samples."""
     groups = (np.arange(len(robot.outputs)), *(b for b in robot.bodies.values() if 0 < len(b) < len(robot.outputs)))
     plain = _fit(OTHER, lambda s: Law(groups, s.e[:0, None]), training, row_mixture.of_plain(noise, groups))
+    independent = log_density(training.e, noise).sum(1)
     named = [*_late_rows(plain, training), *_motion(robot, plain, training), *_lost_commands(plain, training)]
-    named = [f for f in named if _certain(f.density - plain.density, training.starts, f.rare)]
+    named = [f for f in named if _certain(f, plain, independent, training.starts)]
     # Where the noise of one of these fits better without its law as well, that was no merit of the law.
     number = len(plain.mixture.shares)
     noises = [row_mixture.without_shifts(f.mixture, len(f.mixture.shares) - number) for f in named]
     plain = max((plain, *(_fit(OTHER, plain.law, training, m) for m in noises)), key=_score)
-    named = [f for f in named if _certain(f.density - plain.density, training.starts, f.rare)]
+    named = [f for f in named if _certain(f, plain, independent, training.starts)]
     if not named:
         return None
     held = {f.about for f in named if f.id == "dropout"}
@@ -176,14 +177,17 @@ def _sample(problem: Problem, fit: Fit) -> Sample:
     return Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, held, blocks(counts))
 
 
-def _certain(gain: Float[np.ndarray, " n"], starts: np.ndarray, rare: bool) -> bool:
-    """Whether a gain per row is more than chance, blocks of rows being independent.
+def _certain(f: _Fitted, plain: _Fitted, independent: Float[np.ndarray, " n"], starts: np.ndarray) -> bool:
+    """Whether a hypothesis gains more than chance over noise without a name, blocks of rows being independent.
 
-    What is rare has its gain in few blocks, whose spread would be all of it.
+    What is rare has its gain in few blocks, whose spread would be all of it: it must happen again and again. Wide rows
+    may share the credit for each of these, so there it counts against noise that is independent in every output.
     """
+    gain = f.density - plain.density
+    if f.rare:
+        again = np.sort(np.add.reduceat(f.density - independent, starts))[:-ODDEST].sum()
+        return bool(gain.sum() > OWED and again > OWED)
     per_block = np.add.reduceat(gain, starts)
-    if rare:
-        return bool(np.sort(per_block)[:-ODDEST].sum() > OWED)
     return bool(gain.sum() > OWED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
 
 
@@ -237,9 +241,6 @@ def _lost_commands(plain: _Fitted, sample: Sample) -> list[_Fitted]:
     begun = row_mixture.with_shifts(plain.mixture, np.full(len(HELD), RARE))
     groups, number = _groups(plain, sample), range(len(sample.held))
     exact = [_fit("dropout", _held(groups, i, False), sample, begun, about=i) for i in number]
-    exact = [f for f in exact if _certain(f.density - plain.density, sample.starts, True)]
-    if not exact:
-        return []
     best = max(exact, key=_score)
     law, start = _held(groups, best.about, True), best.mixture._replace(sd=SPREAD)
     return [_fit("dropout", law, sample, start, len(HELD) + 1, rare=True, about=best.about)]
@@ -260,7 +261,10 @@ def _misfit(plain: _Fitted, sample: Sample, i: int) -> list[_Fitted]:
 
 
 def _constant(sample: Sample, f: _Fitted, name: str, unit: str, of: Callable[[Mixture], float]) -> dict[str, Any]:
-    interval = row_mixture.interval(f.law(sample), sample.e, f.mixture, sample.starts, of)
+    law = f.law(sample)
+    interval = (row_mixture.burst_interval if law.bursts else row_mixture.interval)(
+        law, sample.e, f.mixture, sample.starts, of
+    )
     return {"name": name, "value": of(f.mixture), "unit": unit, "ci95": interval}
 
 
@@ -329,6 +333,8 @@ def _lost(robot: Robot, training: Sample, f: _Fitted) -> dict[str, Any]:
         training, f, "length", "s",
         lambda m: robot.time_step * float(m.shares[-last:].sum() / max(m.shares[-last], 1e-9)),
     )  # fmt: skip
+    low, high = length["ci95"]  # within its last row a burst may end anywhere
+    length["ci95"] = [max(low - robot.time_step / 2, 0.0), high + robot.time_step / 2]
     of, outputs = robot.subsystems[f.about]
     axis = Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)
     shares = _of_shifts(f.mixture, last)

@@ -149,3 +149,5 @@ def test_of_commands_that_are_lost_those_are_told_that_are(channels: range, body
     assert found.id == "dropout"
     assert set(found.outputs) == {f.name for f in SCHEMA.state if f.body == body or not body}
     assert found.gain > 30
+    assert found.odds["dropout"] == max(found.odds.values())
+    assert found.odds["dropout"] < 1 - 1e-6  # of a dozen bursts
