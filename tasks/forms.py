@@ -15,9 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from simgap import fsvgd, identify, priors
 from simgap.types import ConfigError
 from tasks import names
-from tasks.names import Name
 from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
-from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, SampleSize, Seed, bounded, explained
+from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, Name, SampleSize, Seed, bounded, explained
 
 SWEEPS = Path("sweeps")
 """Where whatever is not `dvc repro` writes; git and DVC leave it alone."""

@@ -1,9 +1,6 @@
 """The form of every name that becomes a file or a folder: a source, a run, a sealed suite, a case."""
 
 import re
-from typing import Annotated
-
-from pydantic import AfterValidator, Field
 
 from simgap.types import ConfigError
 
@@ -23,7 +20,3 @@ def check(name: str, what: str = "a name") -> str:
             f"hold only letters, digits, dashes and underscores, at most {LONGEST}. Give another name."
         )
     return name
-
-
-Name = Annotated[str, AfterValidator(check), Field(json_schema_extra={"pattern": f"^{PATTERN}$", "maxLength": LONGEST})]
-"""The same as a type, for params.yaml and forms."""

@@ -9,12 +9,12 @@ from pydantic import BaseModel, Field, ValidationError
 from simgap import fsvgd, identify, priors
 from simgap.policies import environment, follow, learn, references, sac
 from simgap.types import ConfigError
-from tasks.names import Name
 from tasks.ranges import (
     Cases,
     Dpi,
     Gain,
     Metres,
+    Name,
     Part,
     Parts,
     Patience,

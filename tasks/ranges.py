@@ -1,4 +1,4 @@
-"""What every number of params.yaml may be, declared once: for the file, for Prefect's forms and for the command line.
+"""What every name and number of params.yaml may be, declared once: for the file, for forms and for the command line.
 
 The bounds keep out what cannot be meant; inside them a value may still be a poor choice.
 """
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -20,9 +21,16 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from simgap.types import ConfigError
+from tasks import names
 
 MOST_SESSIONS, LONGEST_SESSION_S = 1000, 3600
 
+Name = Annotated[
+    str,
+    AfterValidator(names.check),
+    Field(json_schema_extra={"pattern": f"^{names.PATTERN}$", "maxLength": names.LONGEST}),
+]
+"""What becomes a file or a folder."""
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 SampleSize = Annotated[int, Field(ge=20, le=1_000_000)]
 Sessions = Annotated[int, Field(ge=1, le=MOST_SESSIONS)]

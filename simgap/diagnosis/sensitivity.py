@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from simgap.diagnosis.candidates import Candidate, unit_of
 from simgap.diagnosis.fit import Problem
-from simgap.diagnosis.screen import FEW, Screened, Screening, blocks, in_proportion
+from simgap.diagnosis.screen import BLOCK, FEW, Screened, Screening, blocks, in_proportion
 
 POWER = 0.9
 """Chance with which an effect of the reported size would have been found."""
@@ -37,8 +37,8 @@ class Visible(NamedTuple):
 
 class Sensitivity(NamedTuple):
     """What could have been found. needed: nats that an effect must be able to gain. segments: independent pieces of the
-    fitted recordings; least_segments: with fewer, chance itself cannot be judged. least_rows: the rows that so many
-    pieces hold."""
+    fitted recordings; least_segments: with fewer, chance itself cannot be judged. least_rows: the rows of so many.
+    """
 
     visible: tuple[Visible, ...]
     needed: float
@@ -82,9 +82,7 @@ def sensitivity(problem: Problem, screening: Screening, candidates: Sequence[Can
         tested.setdefault(s.candidate.name, []).append(s)
     single = [c for c in candidates if len(c.sites) == 1]
     visible = tuple(_visible(problem, c, tested.get(c.name, ()), needed) for c in single)
-    segments = len(blocks(np.asarray(problem.chunks.counts)))
-    rows = int(np.asarray(problem.chunks.counts).sum())
-    return Sensitivity(visible, needed, segments, FEW, -(-FEW * rows // max(segments, 1)))
+    return Sensitivity(visible, needed, len(blocks(np.asarray(problem.chunks.counts))), FEW, FEW * BLOCK)
 
 
 def _visible(problem: Problem, candidate: Candidate, tested: Sequence[Screened], needed: float) -> Visible:

@@ -1,5 +1,6 @@
 """A diagnosis in an engineer's words."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -105,7 +106,7 @@ def warnings(told: dict[str, Any]) -> list[str]:
             before, after = (models[m][f"error_{steps}"]["value"] for m in (worse["than"], worse["model"]))
             lines.append(
                 f"On held-out sessions {of[worse['model']]} is worse than {of[worse['than']]} after "
-                f"{_steps(steps)}: {after:.1%} against {before:.1%} of the motion."
+                f"{_steps(steps)}: {_of_motion(after)} against {_of_motion(before)} of the motion."
             )
     return lines
 
@@ -208,6 +209,10 @@ def _improvement(models: dict[str, Any]) -> str:
         f"{names[better[longest]]}) to {after:.1%} of the motion; the one-step log-likelihood changes by "
         f"{gained:+.2f} nats a row against the simulator {names[better['nll_1']]}."
     )
+
+
+def _of_motion(error: float) -> str:
+    return f"{error:.1%}" if math.isfinite(error) else "more than can be computed"
 
 
 def _horizon(score: str) -> int:

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from test_params import ROOT
 
 from simgap.types import ConfigError, SimgapError
-from tasks import files, forms, names
+from tasks import files, forms, names, ranges
 from tasks.params import load_params
 from tasks.sealed.workspace import SealedWorkspace
 from tasks.workspace import Workspace
@@ -69,7 +69,7 @@ def test_every_door_admits_the_same_names(text: str) -> None:
     """The file, the form, the command line, the sealed suites: all by one type."""
     block = {"folder": "f", "training": ["*"], "test": ["*"]}
     doors: list[Callable[[], object]] = [
-        lambda: TypeAdapter(names.Name).validate_python(text),
+        lambda: TypeAdapter(ranges.Name).validate_python(text),
         lambda: load_params(ROOT / "params.yaml", {"recordings": {text: block}}),
         lambda: forms.Recordings(source=text),
         lambda: Workspace(Path("w"), text),
