@@ -7,6 +7,7 @@ if __name__ == "__main__":
 
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from prefect import flow
 
@@ -29,7 +30,8 @@ def run(source: str, params: Params, root: Path) -> None:
     folders = Folders(workspace.recordings / "training", workspace.recordings / "test")
     spot = Spot(time_step=1 / params.transitions.nominal_rate_hz)
     tags = provenance.tags(workspace, workspace.recordings)
-    _diagnose(source, "spot", spot, folders, workspace.diagnosis, params.diagnose.seed, tags)
+    asked = _Asked(source, "spot", spot, folders, params.diagnose.seed)
+    _diagnose(asked, _read(asked), workspace.diagnosis, tags)
 
 
 @flow(name="diagnose-folder", flow_run_name="diagnose-{recordings}")
@@ -41,23 +43,34 @@ def diagnose_folder(
     Returns the run's id in MLflow.
     """
     folders = Folders(recordings, heldout, baseline)
-    label, used = recordings.resolve().name, simulators.load(simulator)
+    asked = _Asked(recordings.resolve().name, simulator, simulators.load(simulator), folders, seed)
+    sessions = _read(asked)
     with alone(out):
-        return _diagnose(label, simulator, used, folders, out, seed, provenance.origin())
+        return _diagnose(asked, sessions, out, provenance.origin())
 
 
-def _diagnose(
-    label: str, name: str, simulator: StepModel, folders: Folders, out: Path, seed: int, tags: dict[str, str]
-) -> str:
-    """Read, diagnose, write to `out`, log; the run is called by the recordings' label and the simulator's name.
+class _Asked(NamedTuple):
+    """What is to be diagnosed: the recordings' label, the simulator and its name; the run is called by both."""
 
-    Returns the run's id in MLflow.
-    """
-    sessions, errors = diagnose.read(folders, simulator)
+    label: str
+    name: str
+    simulator: StepModel
+    folders: Folders
+    seed: int
+
+
+def _read(asked: _Asked) -> diagnose.Sessions:
+    sessions, errors = diagnose.read(asked.folders, asked.simulator)
     for error in errors:
         progress.say(f"left out: {error}")
     counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
-    progress.say(f"diagnosis of {name} on {label}: {counts} sessions")
+    progress.say(f"diagnosis of {asked.name} on {asked.label}: {counts} sessions")
+    return sessions
+
+
+def _diagnose(asked: _Asked, sessions: diagnose.Sessions, out: Path, tags: dict[str, str]) -> str:
+    """Diagnose, write to `out`, log; returns the run's id in MLflow."""
+    label, name, simulator, folders, seed = asked
     files.make_folder(out)  # before the work, not after it
     store = provenance.store(EXPERIMENT)
     with tracking.diagnosis_run(store, f"{label}-{name}", tags) as tracked:

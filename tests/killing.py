@@ -26,14 +26,22 @@ def work(folder, commands, writes):
             replace(*paths)
         os.replace = replaced
         sys.argv = [name, *arguments]
-        (sealed if name.startswith("sealed.") else start).main(modules[name].run)
+        try:
+            (sealed if name.startswith("sealed.") else start).main(f"flows.{name}", None)
+        except SystemExit as end:
+            if end.code:
+                raise
 
-modules = {name: importlib.import_module(f"flows.{name}") for name in sys.argv[1:]}
+for name in sys.argv[1:]:
+    importlib.import_module(f"flows.{name}")
 for line in sys.stdin:
     child = os.fork()  # nothing has run here yet, so that a fork is safe, and spares the seconds of imports
     if not child:
         os.dup2(2, 1)
-        work(*json.loads(line))
+        try:
+            work(*json.loads(line))
+        except SystemExit as end:
+            os._exit(end.code)
         os._exit(0)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """

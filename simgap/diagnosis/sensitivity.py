@@ -22,13 +22,13 @@ LARGEST = 10.0
 class Visible(NamedTuple):
     """The smallest size of an effect at a site that would have been found.
 
-    size: of its constant [unit]; None where no size that was tried would have been. usual_nats: what the most visible
+    commands: those that the effect changes on their way. size: of its constant [unit]; None where no size that was tried would have been. usual_nats: what the most visible
     of the usual sizes would have gained.
     """
 
     effect: str
     where: str
-    channels: tuple[str, ...]
+    commands: tuple[str, ...]
     constant: str
     size: float | None
     unit: str
@@ -58,8 +58,8 @@ class Sensitivity(NamedTuple):
 
     @property
     def hidden_channels(self) -> list[str]:
-        """Commands on which no usual size of any effect would have been found: they hardly move."""
-        return _below(self.needed, ((c, v.usual_nats) for v in self.visible for c in v.channels))
+        """Commands of which no usual change would have been found, of any kind: they hardly move."""
+        return _below(self.needed, ((c, v.usual_nats) for v in self.visible for c in v.commands))
 
 
 def _below(needed: float, nats: Iterable[tuple[str, float]]) -> list[str]:
@@ -94,7 +94,8 @@ def _visible(problem: Problem, candidate: Candidate, tested: Sequence[Screened],
     physical = None if size is None else float(constant.physical(size, candidate.sites[0], problem.scales))
     usual = max((s.power for s in tested), default=0.0)
     unit = unit_of(problem.augmented, candidate, constant)
-    return Visible(candidate.effect.id, candidate.where, candidate.channels, constant.name, physical, unit, usual)
+    commands = candidate.channels if candidate.effect.place in ("command", "filter") else ()
+    return Visible(candidate.effect.id, candidate.where, commands, constant.name, physical, unit, usual)
 
 
 def _smallest(s: Screened, needed: float) -> float | None:

@@ -104,7 +104,7 @@ def test_sessions_of_five_rows_are_too_little() -> None:
 def test_where_nothing_moves_nothing_can_be_said() -> None:
     said = told("still")
     assert said["verdict"] == "inconclusive"
-    assert {"delay", "coulomb_friction"} <= set(said["sensitivity"]["hidden_effects"])
+    assert {"delay", "lag", "saturation"} <= set(said["sensitivity"]["hidden_effects"])
     assert set(said["sensitivity"]["hidden_channels"]) == {f.name for f in AS_IT_IS.schema.command}
     assert "cmd_base_vx" in said["statement"]
 

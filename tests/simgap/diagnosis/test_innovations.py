@@ -58,8 +58,12 @@ def everywhere(key: str) -> dict:
     constants: dict = {}
     for s in range(len(sites)):
         starts = KEYS[key].starts(SCALES, s)
-        constants |= acting(key, tuple(starts[len(starts) // 2]), (s,))
+        constants |= acting(key, tuple(starts[1 if key in REMEMBERED else len(starts) // 2]), (s,))
     return constants
+
+
+REMEMBERED = ("lag", "sensor_delay")
+"""What comes before a session is not recorded: of much of it even true constants leave something."""
 
 
 @cache
