@@ -22,8 +22,8 @@ LARGEST = 10.0
 class Visible(NamedTuple):
     """The smallest size of an effect at a site that would have been found.
 
-    commands: those that the effect changes on their way. size: of its constant [unit]; None where no size that was tried
-    would have been. usual_nats: what the most visible of the usual sizes would have gained.
+    commands: those that the effect changes on their way. size: of its constant [unit]; None where no size that was
+    tried would have been. usual_nats: what the most visible of the usual sizes would have gained.
     """
 
     effect: str
