@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flows.start import PARAMS, check_files, guarded
+from flows.start import PARAMS, check_files, guarded, prepared
 from tasks import sessions, trial
 
 
@@ -51,9 +51,8 @@ def _diagnose(given: argparse.Namespace) -> None:
         if folder is not None:
             sessions.session_files(folder)
     trial.check(given.simulator)
-    from flows.diagnose import diagnose_folder
-
-    diagnose_folder(given.recordings, given.simulator, given.baseline, given.heldout, given.out)
+    flow = prepared("flows.diagnose")
+    flow.diagnose_folder(given.recordings, given.simulator, given.baseline, given.heldout, given.out)
 
 
 def _add_sweep(commands: Any) -> None:
@@ -85,9 +84,7 @@ def _sweep(given: argparse.Namespace) -> None:
     for name in ("models", "noises", "sample_sizes", "seeds"):
         asked[name] = getattr(given, name) or asked[name]
     asked["hyperparameters"] = forms.read_values(given.values)
-    from flows import sweep
-
-    sweep.start(given.name, asked)
+    prepared("flows.sweep").start(given.name, asked)
 
 
 def _add_import(commands: Any) -> None:

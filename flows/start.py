@@ -91,7 +91,7 @@ def main_apart(stage: str, description: str | None) -> NoReturn:
 
 
 def prepared(stage: str) -> Any:
-    """The module of a flow, imported; a flow without a server starts one, whose database is its owner's alone."""
+    """The module of a flow, imported; a flow without a server starts one, whose database is for its owner alone."""
     from tasks import files
 
     if "PREFECT_API_URL" not in os.environ:

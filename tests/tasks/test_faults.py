@@ -3,7 +3,9 @@
 import multiprocessing
 import os
 import pickle
+import re
 import resource
+import shlex
 import shutil
 import signal
 import socket
@@ -272,8 +274,8 @@ input()
 OWN = """
 import os, urllib.error, urllib.request
 from pathlib import Path
-from flows.start import guarded
-from prefect import flow, get_client
+from flows.start import guarded, prepared
+from prefect import get_client
 
 def work():
     address = get_client(sync_client=True).api_url
@@ -284,7 +286,7 @@ def work():
             print("refused", error.code)
     print({path.name: oct(path.stat().st_mode & 0o777) for path in Path(".prefect").glob("prefect.db*")})
 
-guarded(flow(work, name="any"))
+guarded(lambda: prepared("prefect").flow(work, name="any")())
 """
 
 
@@ -365,9 +367,13 @@ def test_two_at_once_lose_nothing(root: Path) -> None:
 def test_one_name_is_one_run_at_a_time(tmp_path: Path) -> None:
     """A folder is held whole, what belongs to a source is held where a stage works on it, and others are free."""
     mine, source = tmp_path / "mine", Workspace(tmp_path / "mine", "virtual").lock
+    holder = f"lock: held by process {os.getpid()} on .* since .*{re.escape(shlex.join(sys.orig_argv))}"
     with alone(mine, "virtual"):
         for taken in (lambda: alone(mine), lambda: alone(mine, "spot"), lambda: held(source)):
-            with pytest.raises(SimgapError, match=f"lock: held by process {os.getpid()} on .* since .*pytest"), taken():
+            with (
+                pytest.raises(SimgapError, match=f"lock: held by process {os.getpid()} on .* since .*{command}"),
+                taken(),
+            ):
                 pass
         with alone(tmp_path / "other", "virtual"), held(Workspace(mine, "spot").lock):
             pass

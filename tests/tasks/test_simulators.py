@@ -153,7 +153,7 @@ def test_no_text_is_a_simulator_by_chance(spec: str) -> None:
 @pytest.mark.parametrize(
     ("module", "missing"),
     [("no_such_module_here", "no_such_module_here"), ("examples.no_such", "examples.no_such"), ("a.b.c", "a"),
-     ("examples.drive.no", "examples.drive.no"), ("__main__.no", "__main__.no")],
+     ("examples.drive.no", "examples.drive.no")],
 )  # fmt: skip
 def test_a_module_that_is_not_there(module: str, missing: str) -> None:
     message = load_complaint(f"{module}:X")
