@@ -5,6 +5,7 @@ import pytest
 from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, RICH, acting, explain, problem, sessions
 
+from simgap.diagnosis import confidence
 from simgap.diagnosis.candidates import candidates
 from simgap.diagnosis.heldout import agrees
 from simgap.diagnosis.restricted import inside
@@ -172,6 +173,11 @@ def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
     assert member.when.session == 1
     assert member.when.from_s == pytest.approx(6.0, abs=0.3)
     assert member.when.to_s == pytest.approx(8.0, abs=0.3)
+    edges = confidence.edges(found.problem, found.fit, member.candidate, member.when)
+    for edge, truth in zip(edges, (6.0, 8.0), strict=True):
+        low, high = edge["ci95"]
+        assert low <= truth <= high
+        assert high - low < 1.0
     assert float(found.fit.v.gated[member.candidate.groups[0].entries[0]]) == pytest.approx(0.25, rel=0.15)
 
 
