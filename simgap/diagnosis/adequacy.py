@@ -60,7 +60,7 @@ def conclude(
         (beyond is None or m.candidate.effect.id in beyond.ids) and _stands(found, judged, i, little, rng)
         for i, m in enumerate(found.members)
     )
-    moved = judge.surely_likelier(heldout["as_is"], refitted)
+    moved = judge.difference(heldout["as_is"], refitted, rng)["ci95"][0] > 0
     pairs = [("as_is", "refitted"), *([("as_is", "augmented"), ("refitted", "augmented")] if found.members else [])]
     worse = {pair: judge.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
     # A law with which forecasts explode is no physics, whatever it does to the next row: it stands for nothing.

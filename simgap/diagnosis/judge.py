@@ -158,6 +158,11 @@ def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
     return {"value": values[0], "ci95": [float(low), float(high)]}
 
 
+def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]:
+    """Mean of a's nll less b's [nats a row], paired, with its interval: above zero where b is better."""
+    return _interval(lambda i: float(np.nanmean(a.nll[i] - b.nll[i])), resample(a.session, rng))
+
+
 def horizons(judged: Judged) -> tuple[int, ...]:
     """The horizons [rows] that the pieces are long enough for."""
     return HORIZONS[: judged.error.shape[1]]
