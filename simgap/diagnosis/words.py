@@ -9,6 +9,9 @@ from simgap.diagnosis.experiment import Experiment
 from simgap.diagnosis.when import When
 from simgap.effects import CATALOGUE
 
+LISTED = 6
+"""Names that a sentence lists at most."""
+
 
 def number(value: float) -> str:
     """Three significant digits."""
@@ -229,5 +232,7 @@ def title(effect: str) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """`a, b and c`."""
+    """`a, b and c`; of many the first, `a, b, c and 4 more`."""
+    if len(names) > LISTED:
+        names = [*names[: LISTED - 1], f"{len(names) - LISTED + 1} more"]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
