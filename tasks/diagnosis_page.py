@@ -138,7 +138,7 @@ def _where(diagnosis: Values, evidence: Values) -> str:
     outputs, regimes = located.get("outputs") or [], located.get("regimes") or []
     intervals = located.get("intervals") or []
     heat, strips = evidence.get("heat"), evidence.get("strips") or []
-    floor = _FLOOR_OF_NOISE if diagnosis["verdict"] == "nothing" else _FLOOR
+    floor = _FLOOR_OF_NOISE if diagnosis["verdict"] in ("nothing", "inconclusive") else _FLOOR
     parts = [f"<p>Excess is error beyond what noise accounts for. {_located(outputs, regimes, intervals)}</p>"]
     tables = [_excess_of_outputs(outputs)] if outputs else []
     tables += [_excess_of_regimes(regimes)] if regimes else []
