@@ -85,7 +85,7 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
     difference between a law and the robot, whose constant is not known better than that from any number of rows.
     Of a change since a baseline it is the change that is told: of a delay of 0.10 s that was 0.03 s, 0.07 s.
     """
-    found, deviations = [], np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0))
+    found, deviations = [], _deviations(gain)
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         # Where the gate is open both act: what holds everywhere and what is added there.
         before, c = float(fit.v.theta[group.entries[0]]), float(fit.v.gated[group.entries[0]])
@@ -100,12 +100,13 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
     return found
 
 
-def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread) -> bool:
-    """Whether the recordings say anything of an effect's constants: no interval is empty, and none is a whole range."""
+def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> bool:
+    """Whether the recordings say anything of the constants of an effect that gains so many nats: no interval is empty,
+    and none is a whole range."""
     low, high = problem.augmented.bounds
     for group in candidate.groups:
         c = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
-        width = Z95 * float(sd.constants[fit.groups.index(group)])
+        width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
         whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
         if whole or not width > 0:
             return False
@@ -122,6 +123,11 @@ def edges(problem: Problem, fit: Fit, candidate: Candidate, when: When) -> list[
         {"name": name, "value": value, "unit": "s", "ci95": list(interval)}
         for name, value, interval in zip(("from", "to"), (when.from_s, when.to_s), intervals, strict=True)
     ]
+
+
+def _deviations(gain: float) -> float:
+    """Standard deviations to the ends of an interval, for an effect that gains so many nats."""
+    return float(np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0)))
 
 
 def _physical(problem: Problem, site: int, constant: Constant, group: Group, internal: float) -> float:

@@ -123,7 +123,7 @@ def evidence(found: Explanation, sessions: Sessions, outcome: Outcome, plan: Pla
 def _matches(found: Explanation, member: Member, effect: dict[str, Any]) -> bool:
     """Whether an effect that is not named helps as a closest match: it holds on sessions that took no part, and the
     recordings determine its constants."""
-    known = confidence.determined(found.problem, found.fit, member.candidate, found.sd)
+    known = confidence.determined(found.problem, found.fit, member.candidate, found.sd, member.gain)
     return known and effect["heldout_gain_nats"] > 0
 
 
