@@ -234,35 +234,35 @@ def _unexpected(error: BaseException) -> str:
 @contextmanager
 def _interruptible() -> Iterator[None]:
     """A second Ctrl-C ends the process at once: Python does not hear of the first before compiled code returns."""
-    heard, tells = socket.socketpair()
-    tells.setblocking(False)
-    before = signal.set_wakeup_fd(tells.fileno(), warn_on_full_buffer=False)
-    threading.Thread(target=_count, args=(heard,), daemon=True).start()
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+    before = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+    threading.Thread(target=_count, args=(receiver,), daemon=True).start()
     try:
         yield
     finally:
         signal.set_wakeup_fd(before)
-        tells.close()
+        sender.close()
 
 
-def _count(heard: socket.socket) -> None:
+def _count(receiver: socket.socket) -> None:
     """End the process on the second Ctrl-C; until the other end is closed."""
     asked = 0
-    with heard:
-        while number := _next(heard):
+    with receiver:
+        while number := _next(receiver):
             asked += number[0] == signal.SIGINT
             if asked == 1:
-                heard.settimeout(_HEARD_S)
+                receiver.settimeout(_HEARD_S)
             if asked == 2:
                 os.write(1, b"stopped\n")
                 os._exit(130)
 
 
-def _next(heard: socket.socket) -> bytes:
+def _next(receiver: socket.socket) -> bytes:
     """The number of the next signal; it is said once if that takes long after a Ctrl-C."""
     try:
-        return heard.recv(1)
+        return receiver.recv(1)
     except TimeoutError:
         os.write(1, b"Still stopping. Ctrl-C again ends it at once.\n")
-        heard.settimeout(None)
-        return heard.recv(1)
+        receiver.settimeout(None)
+        return receiver.recv(1)

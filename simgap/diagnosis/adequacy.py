@@ -74,7 +74,7 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
     """`named`: an effect is. `more`: there is one that is not, or a black box finds more."""
     if named:
         return "missing_physics"
-    # What is periodic, or odd in single rows, can be foretold in part.
+    # What is periodic, or odd in single rows, can be predicted in part.
     accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
     nameless = bool(found.left.nats.any() or found.law.terms) and not accounted
     if more or nameless:

@@ -29,7 +29,7 @@ LEAST_SESSIONS = 5
 MARGIN = 0.005
 """Share of its error by which a model must be worse to be called so: any two differ by chance in the fourth digit."""
 RUN = 10
-"""Pieces of one run, where sessions are too few to be the units; at least, see `_run`."""
+"""Pieces of one run, where sessions are too few to be the units; at least, see `_unit`."""
 
 
 class Contestant(NamedTuple):

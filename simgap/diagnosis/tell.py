@@ -262,7 +262,7 @@ def _alternatives(found: Explanation) -> list[dict[str, Any]]:
 def _parameters(found: Explanation) -> dict[str, Any]:
     simulator = found.problem.augmented.simulator
     names = [p.name for p in simulator.parameters]
-    low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).T
+    low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).reshape(-1, 2).T
     phi, width = np.asarray(found.fit.v.phi, float), confidence.Z95 * found.sd.phi
     ends = (phi - width, phi + width)
     before, after, *ends = (np.clip(a, low, high).tolist() for a in (np.asarray(found.as_is.v.phi, float), phi, *ends))

@@ -74,7 +74,7 @@ class Augmented:
     @cached_property
     def ranges(self) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Least and greatest values of the parameters in 32 bits: none lies outside the range that is declared."""
-        low, high = (np.array(ends) for ends in zip(*((p.low, p.high) for p in self.simulator.parameters), strict=True))
+        low, high = np.array([(p.low, p.high) for p in self.simulator.parameters], float).reshape(-1, 2).T
         least, most = low.astype(np.float32), high.astype(np.float32)
         least = np.where(least < low, np.nextafter(least, np.float32(np.inf)), least)
         most = np.where(most > high, np.nextafter(most, np.float32(-np.inf)), most)

@@ -1,7 +1,9 @@
 """Every fitted parameter stays within its declared range, and one at the edge of it is reported."""
 
 from dataclasses import replace
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -90,3 +92,20 @@ def test_a_diagnosis_says_which_parameter_is_at_the_edge_of_its_range() -> None:
         "mass is at the edge of its range (1.9 kg): widen the range if larger values are plausible."
         in statement["notes"]
     )
+
+
+class Known(Drive):
+    """The drive with constants that are known for certain, as a falling ball has them: nothing is to be fitted."""
+
+    parameters: tuple[Parameter, ...] = ()
+
+    def step(self, params: Any, state: Any, command: Any) -> Any:
+        del params
+        return Drive().step(jnp.array([2.5, 4.0]), state, command)
+
+
+def test_a_simulator_without_parameters_is_diagnosed() -> None:
+    recordings = driven((2.5, 4.0))
+    told = diagnose(Known(parameters=()), "known", recordings[:3], recordings[3:]).statement
+    assert told["parameters"]["before"] == told["parameters"]["after"] == {}
+    assert told["verdict"] in ("nothing", "inconclusive")
