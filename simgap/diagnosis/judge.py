@@ -196,12 +196,6 @@ def explodes(a: Judged, b: Judged) -> bool:
     return any(np.isfinite(x) and not np.isfinite(y) for x, y in zip(*shares, strict=True))
 
 
-def better_of(a: Judged, b: Judged, k: int) -> Judged:
-    """The one that misses less of the motion at horizon k; a where they are level."""
-    every = np.arange(len(a.session))
-    return b if _share_missed(b, k, every) < _share_missed(a, k, every) else a
-
-
 def beats(references: Sequence[Judged], box: Judged) -> list[int]:
     """The horizons [rows] at which a black box surely misses less of the motion than each of the references does.
 
