@@ -15,12 +15,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
-from simgap.diagnosis.fit import Problem, evaluate, optimise, start, whitening
-from simgap.diagnosis.innovations import cut
-from simgap.diagnosis.measure import measure
-from simgap.diagnosis.screen import vary
+from simgap.diagnosis.diagnose import Diagnosis, diagnose
+from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.inference.explain import split
+from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
 from simgap.effects.augmented import Augmented
 from simgap.robots.operator import OperatorConfig, record
 from simgap.robots.virtual_spot import VirtualSpotConfig

@@ -9,7 +9,8 @@ import numpy as np
 from prefect import task
 
 from simgap.derived import derived, sentence
-from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
+from simgap.diagnosis.diagnose import Diagnosis, diagnose
+from simgap.diagnosis.inference.explain import split
 from simgap.types import Recording, RecordingError, Schema, StepModel
 from tasks import files, fingerprint, tracking
 from tasks.diagnosis_page import page

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from prefect import task
 
-from simgap.diagnosis.explain import explain
+from simgap.diagnosis.inference.explain import explain
 from simgap.recordings import HISTORY, divide
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot

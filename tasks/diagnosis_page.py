@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from simgap.diagnosis.words import NO_COMMANDS
+from simgap.diagnosis.report.wording import NO_COMMANDS
 from tasks import diagnosis_plots as plots
 
 Values = Mapping[str, Any]

@@ -20,7 +20,7 @@ TRAINING = ("simgap.learn",)
 """Where the code of training begins."""
 AUGMENTED = (*TRAINING, "simgap.simulators.augmented")
 """The same for models that are given a diagnosed simulator."""
-DIAGNOSIS = ("simgap.diagnosis.explain",)
+DIAGNOSIS = ("simgap.diagnosis.inference.explain",)
 """Where the code that finds effects begins."""
 WHOLE_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.simulators.spot")
 """Where the code that an examination examines begins."""

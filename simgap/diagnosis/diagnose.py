@@ -6,18 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis import black_box, experiment, judge, tell
-from simgap.diagnosis.adequacy import conclude
-from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.confidence import at_bound
-from simgap.diagnosis.explain import Explanation, explain
-from simgap.diagnosis.explain import split as split
-from simgap.diagnosis.heldout import seen_at
-from simgap.diagnosis.innovations import gain_matrix
-from simgap.diagnosis.judge import Contestant, Judgement
-from simgap.diagnosis.search import Say
-from simgap.diagnosis.sensitivity import sensitivity
-from simgap.diagnosis.when import gate
+from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.hypotheses.support import gate
+from simgap.diagnosis.inference.explain import Explanation, explain
+from simgap.diagnosis.inference.heldout import seen_at
+from simgap.diagnosis.inference.model import Say
+from simgap.diagnosis.inference.posterior import at_bound
+from simgap.diagnosis.likelihood.filter import gain_matrix
+from simgap.diagnosis.report import experiment
+from simgap.diagnosis.report import statement as report
+from simgap.diagnosis.validation import black_box, scores
+from simgap.diagnosis.validation.adequacy import conclude
+from simgap.diagnosis.validation.scores import Contestant, Judgement
+from simgap.diagnosis.validation.sensitivity import sensitivity
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Regime
 from simgap.types import Recording, StepModel
@@ -76,13 +77,13 @@ def diagnose(
     problem = found.problem
     seen = sensitivity(problem, found.rounds[0].screening, candidates(problem.augmented, problem.scales))
     beyond = _beyond_ranges(found, simulator, (training, heldout, baseline), rng, say)
-    outcome = tell.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
+    outcome = report.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
     say("looking for the experiment that would tell explanations apart")
     plan, none = _experiment(found, training)
-    sessions = tell.Sessions(training, heldout, baseline)
-    statement = tell.statement(name, found, sessions, outcome, plan, rng)
+    sessions = report.Sessions(training, heldout, baseline)
+    statement = report.statement(name, found, sessions, outcome, plan, rng)
     statement["notes"] += none
-    evidence = tell.evidence(found, sessions, outcome, plan)
+    evidence = report.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
     return Diagnosis(statement, evidence, _model(found), commands)
 
@@ -123,24 +124,24 @@ def _judged(
 ) -> Judgement:
     """Every contestant on pieces of both; nothing where held-out sessions are too short for a single piece."""
     step = found.problem.augmented.simulator.time_step
-    fitted, unseen = judge.pieces_of(training, step), judge.pieces_of(heldout, step)
+    fitted, unseen = scores.pieces_of(training, step), scores.pieces_of(heldout, step)
     if fitted is None or unseen is None:
         return Judgement({}, {}, ())
     # In which regime a forecast is, it says itself.
     layout, when = found.problem.augmented.layout, found.when and found.when._replace(regime=None)
     fitted, unseen = fitted._replace(gate=gate(layout, fitted, when)), seen_at(layout, unseen, when)
-    judged = {name: judge.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
+    judged = {name: scores.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
     lacking = (Contestant(m.without.v, regime=found.regime) for m in found.members)
     return Judgement(
         {name: held for name, (held, _) in judged.items()},
         {name: on for name, (_, on) in judged.items()},
         # Without its only effect the model is the refitted one.
         (judged["refitted"],) if len(found.members) == 1 else
-        tuple(judge.judge(found.problem, c, fitted, unseen) for c in lacking),
+        tuple(scores.judge(found.problem, c, fitted, unseen) for c in lacking),
     )  # fmt: skip
 
 
-def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[tell.Plan | None, list[str]]:
+def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[report.Plan | None, list[str]]:
     """For the least certain effect, what would separate it from its rival; or a note why nothing does."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
     if not contested or not found.problem.augmented.layout.schema.command:
@@ -150,7 +151,7 @@ def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[tell
     designed = experiment.design(found.problem, found.fit, rival.fit, about, found.regime, list(training))
     if isinstance(designed, experiment.NoExperiment):
         return None, [f"No experiment is proposed to separate {' from '.join(ids)}: {designed.reason}."]
-    return tell.Plan(designed, ids), []
+    return report.Plan(designed, ids), []
 
 
 def _model(found: Explanation) -> AugmentedModel:

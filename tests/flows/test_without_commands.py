@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 from mlflow import MlflowClient
 
-from simgap.diagnosis.diagnose import diagnose, split
+from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.inference.explain import split
 from simgap.types import Recording
 from tasks import files
 from tasks.simulators import find, make

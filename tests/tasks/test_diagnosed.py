@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from simgap.diagnosis.measure import measure
+from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import everywhere

@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from simgap.diagnosis.measure import measure
+from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import Acting, Regime

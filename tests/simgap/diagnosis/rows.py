@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.scatter_of_rows import HELD, Robot, Sample
-from simgap.diagnosis.screen import BLOCK
+from simgap.diagnosis.config import BLOCK
+from simgap.diagnosis.inference.noise_sample import HELD, Robot, Sample
 
 STEP = 1 / 15
 NAMES = tuple("abcdef")

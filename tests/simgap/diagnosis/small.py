@@ -3,11 +3,12 @@
 import numpy as np
 from planted import SPOT, recordings
 
-from simgap.diagnosis import explain as explanation
-from simgap.diagnosis.explain import Explanation
-from simgap.diagnosis.fit import Problem
-from simgap.diagnosis.innovations import Chunks, Variables, cut, innovations_of
-from simgap.diagnosis.measure import measure
+from simgap.diagnosis.inference import explain as explanation
+from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.likelihood.filter import Variables, innovations_of
+from simgap.diagnosis.likelihood.problem import Problem
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import Chunks, cut
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales

@@ -10,10 +10,10 @@ from planted import PHI, SENSOR, SPOT
 from scipy.stats import binom
 from small import RICH, acting, sessions
 
-from simgap.diagnosis import words
+from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.judge import HORIZONS, Judged, beats, changes, surely_likelier, worse_at
-from simgap.diagnosis.search import LEVEL
+from simgap.diagnosis.report import wording
+from simgap.diagnosis.validation.scores import HORIZONS, Judged, beats, changes, surely_likelier, worse_at
 from simgap.types import Recording
 
 
@@ -162,13 +162,13 @@ def models(**errors: float) -> dict[str, Any]:
 
 
 def test_the_headline_compares_with_the_better_of_nominal_and_refitted() -> None:
-    said = words._improvement(models(as_is=0.175, refitted=0.376, augmented=0.017))
+    said = wording._improvement(models(as_is=0.175, refitted=0.376, augmented=0.017))
     assert "from 17.5% (the simulator as it is) to 1.7%" in said
 
 
 def test_a_refit_that_is_worse_is_a_warning() -> None:
     worse = [{"model": "refitted", "than": "as_is", "at": [50]}]
-    (line,) = words.warnings({"fit": {"models": models(as_is=0.175, refitted=0.376), "worse": worse}})
+    (line,) = wording.warnings({"fit": {"models": models(as_is=0.175, refitted=0.376), "worse": worse}})
     assert "the refitted simulator is worse than the simulator as it is after 50 steps: 37.6% against 17.5%" in line
 
 

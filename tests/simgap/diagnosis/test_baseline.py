@@ -5,15 +5,16 @@ import pytest
 from planted import SPOT, recordings, stalled
 from small import RICH, ROWS, acting, problem
 
-from simgap.diagnosis import explain as explanation
-from simgap.diagnosis.candidates import candidates, changed
-from simgap.diagnosis.confidence import constants
-from simgap.diagnosis.explain import Explanation
-from simgap.diagnosis.fit import evaluate, optimise, start, whitening
-from simgap.diagnosis.judge import LEAST_SESSIONS
-from simgap.diagnosis.screen import vary
-from simgap.diagnosis.search import Tried
-from simgap.diagnosis.since import behind_gate, differs
+from simgap.diagnosis.config import LEAST_SESSIONS
+from simgap.diagnosis.hypotheses.space import candidates, changed
+from simgap.diagnosis.inference import explain as explanation
+from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference.model import Tried
+from simgap.diagnosis.inference.posterior import constants
+from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.two_sample import behind_gate, differs
+from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.types import Recording
 
 SAG = acting("gravity_sag", (0.06,))

@@ -9,10 +9,10 @@ from test_numerics import known, optimised, posed
 from test_ranges import driven
 
 from examples.drive import PARAMETERS, Drive
-from simgap.diagnosis.experiment import SETTLED, Experiment, NoExperiment, design
-from simgap.diagnosis.fit import evaluate
-from simgap.diagnosis.screen import vary
-from simgap.diagnosis.search import Model
+from simgap.diagnosis.inference.model import Model
+from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.likelihood.problem import evaluate
+from simgap.diagnosis.report.experiment import SETTLED, Experiment, NoExperiment, design
 from simgap.effects.regime import EVERYWHERE
 from simgap.types import Field, Parameter, Recording, Schema
 

@@ -9,30 +9,17 @@ from scipy import stats
 from small import KEYS, acting, problem, sessions
 
 from examples.drive import PARAMETERS, SCHEMA
-from simgap.diagnosis import confidence
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.fit import (
-    Group,
-    Noise,
-    Problem,
-    constant_columns,
-    directions,
-    evaluate,
-    fit_noise,
-    hold,
-    log_density,
-    lowest,
-    nuisance_columns,
-    optimise,
-    refine,
-    start,
-    trials,
-    weights,
-    whitening,
-)
-from simgap.diagnosis.innovations import Variables, cut
-from simgap.diagnosis.measure import measure
-from simgap.diagnosis.search import Model, decorrelated
+from simgap.diagnosis.inference import posterior
+from simgap.diagnosis.inference.gauss_newton import hold, lowest, optimise, refine
+from simgap.diagnosis.inference.model import Model, decorrelated
+from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
+from simgap.diagnosis.likelihood.directions import directions
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import Group, Problem, evaluate, start, trials, whitening
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
+from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.types import DivergenceError, Parameter, Recording, Schema
@@ -63,10 +50,10 @@ def test_parameters_of_a_null_are_found_within_their_own_intervals(seed: int) ->
     planted[18:] = rng.uniform(0.95, 1.6, 6)
     training, _ = sessions({}, seed=20 + seed, phi=planted)
     model = fitted(training)
-    sd = confidence.spread(model.problem, model.fit, model.nuisance).phi
+    sd = posterior.spread(model.problem, model.fit, model.nuisance).phi
     z = (np.asarray(model.fit.v.phi) - planted) / sd
     assert np.abs(z).max() < 4
-    assert (np.abs(z) < confidence.Z95).mean() > 0.8
+    assert (np.abs(z) < posterior.Z95).mean() > 0.8
     # And they are intervals worth having: the memories' and the advances'.
     assert (sd[:6] < 0.05).all()
     assert (sd[18:] < 0.05).all()
@@ -75,7 +62,7 @@ def test_parameters_of_a_null_are_found_within_their_own_intervals(seed: int) ->
 def test_a_constant_is_found_within_its_own_interval() -> None:
     training, _ = sessions(acting("delay", (1.4,), (0, 1, 2)), seed=5)
     model = fitted(training, (group("delay", (0, 1, 2)),))
-    sd = confidence.spread(model.problem, model.fit, model.nuisance).constants
+    sd = posterior.spread(model.problem, model.fit, model.nuisance).constants
     found = np.asarray(model.fit.v.theta)
     np.testing.assert_array_equal(found[[i for i in range(len(found)) if i not in model.fit.groups[0].entries]], 0)
     rows = found[list(model.fit.groups[0].entries)]

@@ -5,10 +5,10 @@ import numpy as np
 from planted import PHI
 from small import problem, sessions
 
-from simgap.diagnosis import black_box
-from simgap.diagnosis.fit import start
-from simgap.diagnosis.forecast import forecast, windows
-from simgap.diagnosis.innovations import RUN_IN
+from simgap.diagnosis.likelihood.problem import start
+from simgap.diagnosis.likelihood.segments import RUN_IN
+from simgap.diagnosis.validation import black_box
+from simgap.diagnosis.validation.forecast import forecast, windows
 
 HEIGHT = 8
 """Of the hand, which no frame turns."""

@@ -12,23 +12,10 @@ from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, acting, innovations, sessions
 
 from examples.drive import DRIVE
-from simgap.diagnosis.fit import BATCH
-from simgap.diagnosis.innovations import (
-    LENGTH,
-    PAD,
-    TURNS,
-    WARM,
-    Variables,
-    alone,
-    as_chunks,
-    corrected,
-    cut,
-    gain_matrix,
-    sent_before,
-    tangents,
-    wrap,
-)
-from simgap.diagnosis.measure import measure
+from simgap.diagnosis.likelihood.derivatives import BATCH
+from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, gain_matrix, tangents, wrap
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import LENGTH, PAD, TURNS, WARM, as_chunks, cut, sent_before
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot, advance, remember
 from simgap.effects.effect import HISTORY_ROWS, Row

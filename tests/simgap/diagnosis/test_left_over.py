@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from planted import SPOT
 from small import problem, sessions
 
-from simgap.diagnosis.fit import Fit, Noise, Problem, fit_noise, log_density, start
-from simgap.diagnosis.left_over import left_over, named_share
-from simgap.diagnosis.since import left_since
-from simgap.diagnosis.when import rows_of
+from simgap.diagnosis.inference.two_sample import left_since
+from simgap.diagnosis.inference.whiteness import left_over, named_share
+from simgap.diagnosis.likelihood.problem import Fit, Problem, start
+from simgap.diagnosis.likelihood.segments import rows_of
+from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
 
 quick = settings(max_examples=10, deadline=None)
 

@@ -6,11 +6,13 @@ import pytest
 from rows import BURST, JITTER, LOST, NULLS, ROBOT, SLOPE, STALL, STEP, drawn
 from scipy.stats import binom
 
-from simgap.diagnosis.fit import fit_noise
-from simgap.diagnosis.scatter_claim import OTHER, Scatter
-from simgap.diagnosis.scatter_of_rows import explained
-from simgap.diagnosis.stepping import SEGMENT, line_of
-from simgap.diagnosis.when import Rows, When, edges_ci95
+from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.inference.noise_effect import OTHER, Scatter
+from simgap.diagnosis.inference.noise_rows import explained
+from simgap.diagnosis.inference.scan import edges_ci95
+from simgap.diagnosis.inference.spectral_line import SEGMENT, line_of
+from simgap.diagnosis.likelihood.segments import Rows
+from simgap.diagnosis.likelihood.student_t import fit_noise
 
 SETS = 40
 """Data sets of a study of coverage."""

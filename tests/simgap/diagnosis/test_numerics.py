@@ -8,25 +8,18 @@ import pytest
 from test_ranges import driven
 
 from examples.drive import PARAMETERS, SCHEMA, Drive
-from simgap.diagnosis import confidence
-from simgap.diagnosis.candidates import Candidate, candidates
-from simgap.diagnosis.fit import (
-    Problem,
-    constant_columns,
-    evaluate,
-    fit_noise,
-    hold,
-    nuisance_columns,
-    optimise,
-    refine,
-    start,
-    trials,
-    whitening,
-)
-from simgap.diagnosis.innovations import cut
-from simgap.diagnosis.measure import measure
-from simgap.diagnosis.screen import basis_of, screen, vary
-from simgap.diagnosis.search import LEVEL, Model, absorbing, one_more
+from simgap.diagnosis.config import LEVEL
+from simgap.diagnosis.hypotheses.space import Candidate, candidates
+from simgap.diagnosis.inference import posterior
+from simgap.diagnosis.inference.gauss_newton import hold, optimise, refine
+from simgap.diagnosis.inference.model import Model, absorbing
+from simgap.diagnosis.inference.score_test import basis_of, screen, vary
+from simgap.diagnosis.inference.select import one_more
+from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, trials, whitening
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
+from simgap.diagnosis.likelihood.student_t import fit_noise
 from simgap.effects.augmented import Augmented
 from simgap.types import Parameter, Recording, Schema
 
@@ -91,7 +84,7 @@ def test_gains_and_derivatives_are_the_same_in_all_units(length: float, mass: fl
         fitted = refine(of, begun, hold(model.fit, model.nuisance), 4)
         constant = float(fitted.v.theta[friction.groups[0].entries[0]]) / (length * mass if found else 1.0)
         columns = constant_columns(of, fitted.v, (*friction.groups, *drag.groups))
-        sd = confidence.spread(of, fitted, model.nuisance).constants / (length * mass if found else 1.0)
+        sd = posterior.spread(of, fitted, model.nuisance).constants / (length * mass if found else 1.0)
         found.append((fitted.loglik - model.fit.loglik, [s.gain for s in screening.found], constant, sd, columns))
     (gain, screened, constant, sd, columns), (gain_too, screened_too, constant_too, sd_too, columns_too) = found
     assert gain > 10
@@ -171,7 +164,7 @@ class Cliff:
 def test_a_spring_that_explodes_within_its_range_is_fitted() -> None:
     model = optimised(posed(CubicSpring(), driven((2.5, 5.0))))
     assert np.isfinite(model.fit.loglik)
-    sd = confidence.spread(*model)
+    sd = posterior.spread(*model)
     assert np.isfinite(sd.phi).all()
     assert (np.abs(np.asarray(model.fit.v.phi)[:2] - [2.5, 5.0]) < 4 * sd.phi[:2]).all()
     found = one_more(model, candidates(model.problem.augmented, model.problem.scales), np.random.default_rng(0), print)
@@ -185,14 +178,14 @@ def test_a_derivative_that_is_not_finite_at_some_rows_is_a_difference() -> None:
     assert np.isfinite(columns).all()
     assert (np.abs(columns[:3]).max((1, 2)) > 0).all()
     model = optimised(of)
-    assert confidence.spread(*model).seen.all()
+    assert posterior.spread(*model).seen.all()
     assert model.fit.loglik > evaluate(of, start(of), ()).loglik
 
 
 def test_a_parameter_without_a_finite_derivative_stays_where_it_is_and_is_reported() -> None:
     model = optimised(posed(Cliff(), driven((2.5, 5.0))))
     assert float(model.fit.v.phi[2]) == 0.0
-    sd = confidence.spread(*model)
+    sd = posterior.spread(*model)
     np.testing.assert_array_equal(sd.seen, [True, True, False])
     assert (np.abs(np.asarray(model.fit.v.phi)[:2] - [2.5, 5.0]) < 4 * sd.phi[:2]).all()
 
@@ -215,7 +208,7 @@ def test_few_rows_are_no_error(rows: int, sessions: int) -> None:
     short = [Recording(r.name, r.time_s[:rows], r.state[:rows], r.command[:rows]) for r in driven((2.5, 5.0))]
     model = optimised(posed(Drive(), short[:sessions]))
     assert np.isfinite(model.fit.loglik)
-    sd = confidence.spread(*model)
+    sd = posterior.spread(*model)
     assert np.isfinite(sd.phi).all()
     found = one_more(model, candidates(model.problem.augmented, model.problem.scales), np.random.default_rng(0), print)
     assert np.isfinite([found.screening.p_value, found.screening.threshold]).all()
@@ -231,7 +224,7 @@ def test_columns_that_never_change_are_no_error(still: str) -> None:
         recordings = [r._replace(command=0 * r.command) for r in recordings]
     model = optimised(posed(Drive(), recordings))
     assert np.isfinite(model.fit.loglik)
-    assert np.isfinite(confidence.spread(*model).phi).all()
+    assert np.isfinite(posterior.spread(*model).phi).all()
     every = candidates(model.problem.augmented, model.problem.scales)
     assert all(np.isfinite(c.starts).all() for c in every)
     assert np.isfinite(one_more(model, every, np.random.default_rng(0), print).screening.threshold)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from examples.drive import PARAMETERS, Drive
-from simgap.diagnosis import confidence
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.fit import Problem, evaluate, optimise, start, whitening
-from simgap.diagnosis.innovations import cut
-from simgap.diagnosis.measure import measure
-from simgap.diagnosis.search import Model
+from simgap.diagnosis.inference import posterior
+from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference.model import Model
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
 from simgap.effects.augmented import Augmented
 from simgap.types import Parameter, Recording
 
@@ -61,14 +62,14 @@ def test_parameters_stay_within_their_ranges_wherever_the_true_ones_are(seed: in
     phi = np.asarray(model.fit.v.phi, np.float64)
     assert (phi >= [a, c]).all(), (phi, a, c)
     assert (phi <= [b, d]).all(), (phi, b, d)
-    assert confidence.at_bound(model.problem, model.fit)
+    assert posterior.at_bound(model.problem, model.fit)
 
 
 def test_a_fit_whose_ranges_do_not_bind_is_what_it_was() -> None:
     model = fitted(Drive(), driven((2.5, 5.0)))
-    sd = confidence.spread(*model).phi
+    sd = posterior.spread(*model).phi
     assert (np.abs(np.asarray(model.fit.v.phi) - [2.5, 5.0]) < 4 * sd).all()
-    assert confidence.at_bound(model.problem, model.fit) == {}
+    assert posterior.at_bound(model.problem, model.fit) == {}
 
 
 @pytest.mark.parametrize("low", [0.1, 1e-7, 0.9])

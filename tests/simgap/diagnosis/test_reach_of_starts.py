@@ -6,8 +6,8 @@ from test_numerics import known, optimised, posed
 from test_ranges import driven
 
 from examples.drive import Drive
-from simgap.diagnosis import confidence
-from simgap.diagnosis.search import one_more
+from simgap.diagnosis.inference import posterior
+from simgap.diagnosis.inference.select import one_more
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS
 from simgap.types import Recording
@@ -40,8 +40,8 @@ def test_an_old_measurement_is_recovered_within_its_interval(rows: float) -> Non
     delay = known(model.problem, "sensor_delay on cart velocity")
     (tried,) = one_more(model, [delay], np.random.default_rng(0), print).tried
     assert tried.gain > 50
-    (found,) = confidence.constants(
-        model.problem, tried.fit, delay, confidence.spread(model.problem, tried.fit, model.nuisance), tried.gain
+    (found,) = posterior.constants(
+        model.problem, tried.fit, delay, posterior.spread(model.problem, tried.fit, model.nuisance), tried.gain
     )
     low, high = found["ci95"]
     assert low <= rows * Drive().time_step <= high

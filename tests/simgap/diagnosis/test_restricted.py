@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simgap.diagnosis.restricted import FEWEST, SILENT, narrowest
+from simgap.diagnosis.inference.scan import FEWEST, SILENT, narrowest
 from simgap.effects.regime import EVERYWHERE
 
 SHARE = 0.03

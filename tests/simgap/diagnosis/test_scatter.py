@@ -6,11 +6,11 @@ import pytest
 from planted import PHI, SENSOR
 from small import RICH, problem, sessions
 
-from simgap.diagnosis.fit import evaluate, start, whitening
-from simgap.diagnosis.innovations import cut
-from simgap.diagnosis.scatter import scatter
-from simgap.diagnosis.scatter_claim import Scatter
-from simgap.diagnosis.stepping import SEGMENT
+from simgap.diagnosis.inference.noise import scatter
+from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.spectral_line import SEGMENT
+from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
+from simgap.diagnosis.likelihood.segments import cut
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording
 

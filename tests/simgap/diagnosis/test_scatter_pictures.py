@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simgap.diagnosis.fit import Noise
-from simgap.diagnosis.scatter_claim import Axis, Between, Spectrum, Widening
-from simgap.diagnosis.scatter_pictures import FEWEST, picture
+from simgap.diagnosis.inference.noise_effect import Axis, Between, Spectrum, Widening
+from simgap.diagnosis.likelihood.student_t import Noise
+from simgap.diagnosis.report.noise_figures import FEWEST, picture
 from simgap.types import Field
 
 NOISE = Noise(np.array([0.5, 1.0]), np.full(2, 1e6))

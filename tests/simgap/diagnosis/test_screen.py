@@ -5,9 +5,9 @@ import pytest
 from planted import SCALES, SPOT
 from small import RICH, sessions
 
-from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.measure import measure
-from simgap.diagnosis.screen import Screened, closer
+from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.inference.score_test import Screened, closer
+from simgap.diagnosis.likelihood.scales import measure
 
 KNOWN = candidates(SPOT, SCALES)
 

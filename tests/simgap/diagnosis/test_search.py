@@ -5,13 +5,14 @@ import pytest
 from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, RICH, acting, explain, problem, sessions
 
-from simgap.diagnosis import confidence
-from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.heldout import agrees
-from simgap.diagnosis.restricted import inside
-from simgap.diagnosis.screen import Screened
-from simgap.diagnosis.search import LEVEL, promising
-from simgap.diagnosis.when import rows_of
+from simgap.diagnosis.config import LEVEL
+from simgap.diagnosis.hypotheses.features import inside
+from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.inference import posterior
+from simgap.diagnosis.inference.heldout import agrees
+from simgap.diagnosis.inference.score_test import Screened
+from simgap.diagnosis.inference.select import promising
+from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.effects import CATALOGUE
 from simgap.effects.regime import Regime, features
 
@@ -173,7 +174,7 @@ def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
     assert member.when.session == 1
     assert member.when.from_s == pytest.approx(6.0, abs=0.3)
     assert member.when.to_s == pytest.approx(8.0, abs=0.3)
-    edges = confidence.edges(found.problem, found.fit, member.candidate, member.when)
+    edges = posterior.edges(found.problem, found.fit, member.candidate, member.when)
     for edge, truth in zip(edges, (6.0, 8.0), strict=True):
         low, high = edge["ci95"]
         assert low <= truth <= high

@@ -10,14 +10,16 @@ from planted import SPOT
 from small import RICH, problem, sessions
 
 from examples.drive import DRIVE
-from simgap.diagnosis.candidates import candidates
-from simgap.diagnosis.dictionary import Quantity, dictionary, quantities, values
-from simgap.diagnosis.echo import direction, echoes, evidence, hear
-from simgap.diagnosis.fit import Problem, evaluate, optimise, replaced, start, trials, whitening
-from simgap.diagnosis.innovations import Variables, cut
-from simgap.diagnosis.measure import measure
-from simgap.diagnosis.search import Model
-from simgap.diagnosis.unnamed import Law, unnamed
+from simgap.diagnosis.hypotheses.library import Quantity, dictionary, quantities, values
+from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference.impulse_response import direction, echoes, evidence, hear
+from simgap.diagnosis.inference.model import Model
+from simgap.diagnosis.inference.nonparametric import Law, unnamed
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, replaced, start, trials, whitening
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording
 

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simgap.diagnosis.when import EDGE, Rows, onset
+from simgap.diagnosis.inference.scan import EDGE, onset
+from simgap.diagnosis.likelihood.segments import Rows
 
 STEP = 1 / 15
 

@@ -11,7 +11,8 @@ from outside import SPOT, by_heading, by_speed_and_turn, unheard
 from planted import PHI
 from small import RICH, acting, sessions
 
-from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
+from simgap.diagnosis.diagnose import Diagnosis, diagnose
+from simgap.diagnosis.inference.explain import split
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording
 

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from examples.car import CAR, Car
 from examples.drive import DRIVE
-from simgap.diagnosis.measure import measure
+from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE, resistance
 from simgap.effects.augmented import Augmented, Slot, advance, follow, sense, unsense
 from simgap.effects.command_path import fading_of

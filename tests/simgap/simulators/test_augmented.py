@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 
-from simgap.diagnosis.measure import measure
+from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.command_path import fading_of

@@ -1,0 +1,1 @@
+"""What may be missing, where, and when: effects, sites, supports, features."""

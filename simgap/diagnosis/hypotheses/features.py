@@ -1,0 +1,55 @@
+"""Features of the motion: what regimes are bounded by, and what laws without a name may depend on."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.effects.regime import Regime, holds, values
+from simgap.layout import Layout, motion
+
+
+def of_rows(layout: Layout, chunks: Chunks) -> Float[np.ndarray, "n f"]:
+    """The features of every row that counts, at the beginning of the step to it."""
+    counts = np.asarray(chunks.counts)
+    state, command = (np.asarray(a)[:, :-1][counts] for a in (chunks.state, chunks.command))
+    return np.asarray(_every(layout, state, command))
+
+
+def _every(layout: Layout, state: Float[np.ndarray, "n s"], command: Float[np.ndarray, "n u"]) -> Float[Array, "n f"]:
+    return jax.vmap(lambda s, u: values(layout, s, u))(jnp.asarray(state), jnp.asarray(command))
+
+
+def inside(layout: Layout, regime: Regime, chunks: Chunks) -> Bool[np.ndarray, "C T"]:
+    """The rows of chunks that are in the regime."""
+    return np.asarray(jax.vmap(jax.vmap(lambda s, u: holds(layout, regime, s, u)))(chunks.state, chunks.command))
+
+
+def seen(layout: Layout, state: Float[Array, " s"], command: Float[Array, " u"]) -> Float[Array, " n"]:
+    """State, in the bodies' own frames, and command; the state itself where the schema declares no bodies."""
+    own = motion(layout, state)
+    headings = state[jnp.array(_headings(layout), int)]
+    turned = [jnp.sin(headings), jnp.cos(headings)]
+    parts = [own.velocity.ravel(), own.position.ravel(), *turned] if layout.bodies else [state]
+    loose = jnp.array([i for i, f in enumerate(layout.schema.state) if layout.bodies and not f.body], int)
+    return jnp.concatenate([*parts, state[loose], command])
+
+
+def _headings(layout: Layout) -> list[int]:
+    """State indices of the yaws that turn the bodies' frames."""
+    return list(dict.fromkeys(i for i in layout.heading if i is not None))
+
+
+def seen_names(layout: Layout) -> list[str]:
+    """What each number that `seen` gives is called."""
+    names = [
+        f"{b} {q}" for b in layout.bodies for q in ("forward speed", "sideways speed", "vertical speed", "yaw rate")
+    ]
+    names += [f"{b} {q}" for b in layout.bodies for q in ("ahead", "to the left", "height")]
+    if not layout.bodies:
+        names = [f.name for f in layout.schema.state]
+    else:
+        names += [f"{q} of {layout.schema.state[i].name}" for q in ("sine", "cosine") for i in _headings(layout)]
+        names += [f.name for f in layout.schema.state if not f.body]
+    return names + [f.name for f in layout.schema.command]

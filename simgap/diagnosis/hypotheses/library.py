@@ -1,0 +1,148 @@
+"""What a law without a name may be made of: smooth functions of what the robot does, where it is, and what it is told.
+
+Waves of one quantity, products of two, one quantity by the sign of another, and waves over the ground.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations_with_replacement, pairwise, permutations
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.hypotheses.features import seen, seen_names
+from simgap.diagnosis.likelihood.filter import Variables, estimates_of
+from simgap.diagnosis.likelihood.problem import Problem
+from simgap.layout import Layout, X, Y
+
+WAVES = 8
+"""Half waves of one quantity over its range, at most;"""
+SLOW_WAVES = 2
+"""of a mean over the past, of which a line and a bow are enough."""
+MEMORIES = (0.3, 1.0, 3.0)
+"""Time constants [s] of means over the past."""
+HEADINGS = tuple(np.arange(6) * np.pi / 6)
+"""Directions [rad] of waves over the ground, and"""
+SHORTEST, LENGTHS = 0.3, 10
+"""their shortest length [m], and how many lengths from there to twice the ground's extent."""
+FAR = 4.0
+"""Standard deviations at which a quantity in a product is cut off."""
+STILL = 1e-6
+"""Standard deviation of a quantity that does not vary."""
+_Values = Float[np.ndarray, "... q"]
+
+
+class Quantity(NamedTuple):
+    """Something that a law may depend on; past: a mean over the rows before; ground: along which of the world's axes
+    it is a place (None for no place)."""
+
+    name: str
+    past: bool = False
+    ground: int | None = None
+
+
+class Function(NamedTuple):
+    """One function of quantities: the names of those, and what it makes of their values."""
+
+    depends_on: tuple[str, ...]
+    of: Callable[[_Values], Float[np.ndarray, "..."]]
+
+
+def quantities(layout: Layout) -> list[Quantity]:
+    """What is measured by `values`, in its order."""
+    moves, told = _moving(layout), [f.name for f in layout.schema.command]
+    names = seen_names(layout)
+    places = [Quantity(layout.schema.state[i].name, ground=axis) for i, axis in _places(layout)]
+    slow = [Quantity(f"the mean over {tau:g} s of {n}", past=True)
+            for tau in MEMORIES for n in (*told, *(names[i] for i in moves))]  # fmt: skip
+    return [*map(Quantity, names), *places, *slow]
+
+
+def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
+    """All quantities in every row of the chunks: of the state, as it is estimated."""
+    layout, chunks = problem.augmented.layout, problem.chunks
+    state = np.asarray(estimates_of(problem.augmented, problem.scales, v, chunks))
+    command = np.asarray(chunks.command)[:, :-1]
+    now = np.asarray(jax.vmap(jax.vmap(lambda s, u: seen(layout, s, u)))(jnp.asarray(state), jnp.asarray(command)))
+    places = state[..., [i for i, _ in _places(layout)]]
+    # Commands are known for a while before a chunk, motion is not.
+    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1], command], axis=1)
+    moved = now[..., _moving(layout)]
+    fading = np.exp(-problem.scales.time_step / np.array(MEMORIES))
+    slow = [m for kept in fading for m in (_mean(sent, kept)[:, -command.shape[1] :], _mean(moved, kept))]
+    return np.concatenate([now, places, *slow], axis=-1)
+
+
+def _moving(layout: Layout) -> list[int]:
+    """Which of the names are velocities of a body."""
+    return list(range(4 * len(layout.bodies)))
+
+
+def _places(layout: Layout) -> list[tuple[int, int]]:
+    """State index and axis of every place on the ground, x and y of a body side by side."""
+    table = layout.position[:, [X, Y]]
+    return [(int(i), axis) for columns in table for axis, i in zip((X, Y), columns, strict=True) if i >= 0]
+
+
+def _mean(series: Float[np.ndarray, "C n q"], kept: float) -> Float[np.ndarray, "C n q"]:
+    """Mean over the past, of weights of which this share is kept from row to row."""
+    found = np.array(series)
+    for t in range(1, series.shape[1]):
+        found[:, t] = kept * found[:, t - 1] + (1 - kept) * series[:, t]
+    return found
+
+
+def dictionary(known: Sequence[Quantity], z: Float[np.ndarray, "n q"]) -> list[Function]:
+    """The functions of those quantities that vary in these rows, none of them with a mean there."""
+    varying = [i for i in range(len(known)) if z[:, i].std() > STILL]
+    present = [i for i in varying if not known[i].past]
+    found = [_wave(known, z, i, halves) for i in varying
+             for halves in range(1, 1 + (SLOW_WAVES if known[i].past else WAVES))]  # fmt: skip
+    found += [_product(known, z, i, j) for i, j in combinations_with_replacement(present, 2)]
+    found += [_by_sign(known, z, i, j) for i, j in permutations(present, 2) if known[i].ground is None]
+    for i, j in pairwise(present):
+        if (known[i].ground, known[j].ground) == (X, Y):
+            found += _over_ground(known, z, i, j)
+    return [_without_mean(f, z) for f in found]
+
+
+def _wave(known: Sequence[Quantity], z: _Values, i: int, halves: int) -> Function:
+    low, high = np.quantile(z[:, i], [0.01, 0.99])
+    within = lambda z: np.clip((z[..., i] - low) / max(high - low, STILL), -0.1, 1.1)  # noqa: E731
+    return Function((known[i].name,), lambda z: np.cos(np.pi * halves * within(z)))
+
+
+def _standard(z: _Values, i: int) -> Callable[[_Values], Float[np.ndarray, "..."]]:
+    mean, sd = z[:, i].mean(), z[:, i].std()
+    return lambda z: np.clip((z[..., i] - mean) / sd, -FAR, FAR)
+
+
+def _product(known: Sequence[Quantity], z: _Values, i: int, j: int) -> Function:
+    one, other = _standard(z, i), _standard(z, j)
+    return Function(tuple(dict.fromkeys((known[i].name, known[j].name))), lambda z: one(z) * other(z))
+
+
+def _by_sign(known: Sequence[Quantity], z: _Values, i: int, j: int) -> Function:
+    other = _standard(z, j)
+    return Function((known[i].name, known[j].name), lambda z: np.sign(z[..., i]) * other(z))
+
+
+def _over_ground(known: Sequence[Quantity], z: _Values, i: int, j: int) -> list[Function]:
+    middle = z[:, [i, j]].mean(0)
+    extent = max(np.ptp(z[:, i]), np.ptp(z[:, j]), SHORTEST)
+    found = []
+    for heading in HEADINGS:
+        along = np.array([np.cos(heading), np.sin(heading)])
+        for length in np.geomspace(2 * extent, SHORTEST, LENGTHS):
+            for wave in (np.cos, np.sin):
+                turns = lambda z, k=2 * np.pi * along / length: (z[..., [i, j]] - middle) @ k  # noqa: E731
+                names = (known[i].name, known[j].name)
+                found.append(Function(names, lambda z, wave=wave, turns=turns: wave(turns(z))))
+    return found
+
+
+def _without_mean(function: Function, z: _Values) -> Function:
+    mean = function.of(z).mean()
+    return Function(function.depends_on, lambda z: function.of(z) - mean)

@@ -1,0 +1,111 @@
+"""What may be missing: every effect of the catalogue, at every site where it can act and at sites that share it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.likelihood.problem import Group
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Augmented, Slot
+from simgap.effects.effect import Constant, Effect, Scales, Site
+
+
+class Candidate(NamedTuple):
+    """One hypothesis: an effect at one site, or shared by several, with constants to start a search at.
+
+    groups: one per constant; starts: internal constants [k] each. twin: the same constants acting everywhere, free as
+    well where the question is what changed between two sets of recordings.
+    """
+
+    effect: Effect
+    sites: tuple[int, ...]
+    where: str
+    channels: tuple[str, ...]
+    outputs: tuple[str, ...]
+    groups: tuple[Group, ...]
+    starts: tuple[tuple[float, ...], ...]
+    twin: tuple[Group, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return f"{self.effect.key} on {self.where}"
+
+
+def candidates(augmented: Augmented, scales: Scales, events: bool = False) -> list[Candidate]:
+    """All hypotheses of one effect that acts throughout, or of those that act during a stretch only."""
+    return [
+        _candidate(augmented, scales, e, where, members)
+        for e, (effect, sites) in enumerate(zip(CATALOGUE, augmented.sites, strict=True))
+        if effect.event == events
+        for where, members in _tied(effect, sites)
+    ]
+
+
+def changed(candidate: Candidate) -> Candidate:
+    """The hypothesis that an effect differs where the gate is open."""
+    return gated(candidate)._replace(twin=candidate.groups)
+
+
+def gated(candidate: Candidate) -> Candidate:
+    """The same hypothesis, acting only where the gate is open."""
+    return candidate._replace(groups=tuple(g._replace(gated=True) for g in candidate.groups))
+
+
+def within_session(
+    throughout: Sequence[Candidate], events: Sequence[Candidate], to_its_end: bool
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Of both, those that may act during a stretch of one session, each law by one name: a drift is a push there,
+    unless it lasts to the session's end."""
+    named, others = (throughout, events) if to_its_end else (events, throughout)
+    laws = [c.effect.law for c in named]
+    others = [c for c in others if c.effect.law not in laws]
+    return (list(named), others) if to_its_end else (others, list(named))
+
+
+def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:
+    effect, sites = CATALOGUE[e], augmented.sites[e]
+    entries = [tuple(augmented.index[Slot(e, k, s)] for s in members) for k in range(len(effect.constants))]
+    low, high = augmented.bounds
+    starts = []
+    # Sites that share a constant are searched at the start of the one with the greatest range.
+    lead = max(members, key=lambda s: abs(effect.starts(scales, s)[0][0]) if "limit" not in effect.constants[0].name
+               else -abs(effect.starts(scales, s)[0][0]))  # fmt: skip
+    for start in effect.starts(scales, lead):
+        limits = [(low[of[0]], high[of[0]]) for of in entries]
+        starts.append(tuple(float(np.clip(c, *limit)) for c, limit in zip(start, limits, strict=True)))
+    # The smallest size that a constant is looked for at is its scale.
+    sizes = [min(abs(c) for c in of if c) for of in zip(*starts, strict=True)]
+    groups = tuple(Group(of, size) for of, size in zip(entries, sizes, strict=True))
+    return Candidate(
+        effect, members, where, _union(sites[s].channels for s in members), _union(sites[s].outputs for s in members),
+        groups, tuple(starts),
+    )  # fmt: skip
+
+
+def unit_of(augmented: Augmented, candidate: Candidate, constant: Constant) -> str:
+    """The unit of a candidate's constant where it acts."""
+    site = augmented.sites[CATALOGUE.index(candidate.effect)][candidate.sites[0]]
+    return constant.unit.replace("{u}", site.unit)
+
+
+def _tied(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int, ...]]]:
+    """Single sites, sites of one family or branch of it, and all sites; they share a constant only with its unit."""
+    found: dict[tuple[int, ...], str] = {(s,): site.name for s, site in enumerate(sites)}
+    if effect.tie != "never":
+        sets: dict[str, list[int]] = {}
+        for s, site in enumerate(sites):
+            branch = [f"{site.family} {site.branch}"] if site.branch else []
+            for name in (site.family, *branch, *(["all"] if effect.tie == "any" else [])):
+                sets.setdefault(name, []).append(s)
+        for name, members in sets.items():
+            units = dict.fromkeys(sites[s].unit for s in members)
+            alike = [tuple(s for s in members if sites[s].unit == u) for u in units]
+            for part in [tuple(members)] if effect.tie == "any" else alike:
+                label = name if len(part) == len(members) else ", ".join(sites[s].name for s in part)
+                found.setdefault(part, label)
+    return [(where, members) for members, where in found.items() if members]
+
+
+def _union(lists) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for names in lists for name in names))

@@ -1,0 +1,1 @@
+"""From hypotheses to a fitted model: test, fit, select, compare, interval."""

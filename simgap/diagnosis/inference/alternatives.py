@@ -1,0 +1,140 @@
+"""Every effect of a set against what could stand in its place: who keeps it, and how sure that is."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from simgap.diagnosis.config import LEAST_SHARE, RIVAL
+from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference.model import Found, Helps, Model, Round, Say, Tried, lacking, least, settled
+from simgap.diagnosis.inference.null_distribution import blocks
+from simgap.diagnosis.inference.score_test import Screening
+from simgap.diagnosis.inference.select import one_more
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
+from simgap.diagnosis.likelihood.student_t import log_density
+
+
+class Member(NamedTuple):
+    """An effect of the set that explains the recordings.
+
+    gain: of the set over the set without it [nats]. odds: probability of every effect id that could stand in its place;
+    rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. when: it acts then only,
+    if not throughout.
+    """
+
+    candidate: Candidate
+    gain: float
+    odds: dict[str, float]
+    rival: Tried | None
+    without: Fit
+    when: When | None = None
+
+
+def defend(
+    found: Found, candidates: Sequence[Candidate], helps: Helps, rng: np.random.Generator, say: Say
+) -> tuple[Model, tuple[Member, ...], list[Round]]:
+    """Let every member defend its place, given the others: a better rival takes it, one that is not needed goes.
+
+    A rival is better only where held-out sessions agree, as in `search`.
+    """
+    model, base = found.model, found.base
+    if len(found.chosen) == 1:
+        # The outputs are decorrelated anew since the model without it was fitted: what both leave is compared as one.
+        rest = evaluate(model.problem, base.v, base.groups)
+        return model, (member(model.problem, found.rounds[0].tried, rest),), []
+    members, rounds = [], []
+    for candidate, chosen in zip(found.chosen, found.rounds, strict=False):
+        say(f"{candidate.name} against its rivals, given the other effects")
+        problem, fit, _ = model
+        reduced = lacking(model, [candidate], settled(chosen.tried[0].gain))
+        own = Tried.of(candidate, fit, reduced.fit)
+        tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, own)
+        rounds.append(tried)
+        rivals = [t for t in tried.tried if t is not own]
+        owed = chosen.screening.threshold / 2
+        better = _better(reduced, rivals, own, helps, owed)
+        if better is not None:
+            say(f"{better.candidate.name} replaces {candidate.name} ({better.gain - own.gain:+.1f} nats)")
+            model = Model(problem, *optimise(problem, better.fit))
+            rivals.remove(better)
+            own = better
+        if own.gain < max(owed, least(problem, base, reduced.fit, model.fit)):
+            say(f"{candidate.name} is not needed beside the others")
+            model = reduced
+        else:
+            members.append(member(problem, [own, *rivals], reduced.fit))
+    return model, tuple(members), rounds
+
+
+def _rivals(candidate: Candidate, when_chosen: Screening, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """A member and the hypotheses that came near it when it was chosen; the others are no rivals now."""
+    gains: dict[str, float] = {}
+    for s in when_chosen.found:
+        gains[s.candidate.name] = max(s.gain, gains.get(s.candidate.name, 0.0))
+    near = {name for name, gain in gains.items() if gain >= RIVAL * gains.get(candidate.name, 0.0)} - {candidate.name}
+    return [c for c in candidates if c is candidate or c.name in near]
+
+
+def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps, owed: float) -> Tried | None:
+    """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
+    ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
+    return next((t for t in ahead if helps(reduced.problem, t, owed)), None)
+
+
+def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:
+    """Without the members that gain less than their share of what odd rows do: those rows would make them up."""
+    weak = [m for m in members if m.gain < LEAST_SHARE * gain]
+    for m in weak:
+        say(f"{m.candidate.name} is too weak a sign beside rows that are odd")
+        model = lacking(model, [m.candidate])
+    return model, tuple(m for m in members if m not in weak)
+
+
+def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:
+    """The first of the hypotheses tried for one place, with the others as its rivals."""
+    own = tried[0]
+    rival = next((t for t in tried if t.candidate.effect.id != own.candidate.effect.id), None)
+    return Member(own.candidate, own.gain, odds(problem, tried), rival, rest)
+
+
+def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
+    """Probability of each effect id, by its best hypothesis, the first one tried being the best of all."""
+    starts = blocks(np.asarray(problem.chunks.counts))
+    best: dict[str, Tried] = {}
+    for t in tried:
+        value = best.get(t.candidate.effect.id)
+        if value is None or t.gain > value.gain:
+            best[t.candidate.effect.id] = t
+    rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
+    lead, constants = tried[0].candidate.effect.id, {k: len(t.candidate.groups) for k, t in best.items()}
+    return compared(rows, constants, starts, lead, best[lead].gain)
+
+
+def compared(
+    density: Mapping[str, Float[np.ndarray, " n"]],
+    constants: Mapping[str, int],
+    starts: Int[np.ndarray, " B"],
+    lead: str,
+    gain: float,
+) -> dict[str, float]:
+    """Probability of each name: likelihood of its rows, less log n / 2 a constant, against the lead's, which gains so
+    many nats.
+
+    What a rival is behind by counts only so far as it exceeds `LEAST_SHARE` of that gain: less may be no more than the
+    difference between laws and robot. And the ratio of two likelihoods is itself uncertain: where its spread over
+    blocks of rows is wider than that of a correct model's (variance twice the mean), the ratio is worn down accordingly
+    [Vuong 1989].
+    """
+    score = {k: float(d.sum()) - 0.5 * constants[k] * np.log(len(d)) for k, d in density.items()}
+    logits = {}
+    for k in density:
+        behind = max(score[lead] - score[k] - LEAST_SHARE * max(gain, 0.0), 0.0) if k != lead else 0.0
+        difference = np.add.reduceat(density[lead] - density[k], starts)
+        spread = len(difference) * float(np.var(difference))
+        logits[k] = -behind * min(1.0, 2 * behind / spread) if spread > 0 else -behind
+    total = np.logaddexp.reduce(list(logits.values()))
+    return {k: float(np.exp(v - total)) for k, v in sorted(logits.items(), key=lambda kv: -kv[1])}

@@ -1,0 +1,92 @@
+"""Rows under the model of the mean: innovations, and how stalls and lost commands would move them."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from simgap.diagnosis.inference.null_distribution import blocks
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations, replaced, row_trials
+from simgap.effects import CATALOGUE
+from simgap.effects.augmented import Slot
+from simgap.layout import Layout, motion
+
+STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+"""Further nominal intervals that a late row may contain."""
+HELD = (1, 2, 3, 4)
+"""Rows for which a lost command leaves the last one acting."""
+
+
+class Robot(NamedTuple):
+    """What is said of it. interval: [s] that rows span by the positions' own advance, which need not be the nominal
+    step; integrated: positions whose velocities are measured; bodies: each one's outputs; subsystems: what may lose its
+    commands together, each with the outputs of its bodies."""
+
+    interval: float
+    time_step: float
+    outputs: tuple[str, ...]
+    integrated: tuple[str, ...]
+    bodies: Mapping[str, Int[np.ndarray, " c"]]
+    subsystems: list[tuple[str, tuple[str, ...]]]
+
+
+class Sample(NamedTuple):
+    """One set of sessions under the model of the mean: decorrelated innovations, and what the hypotheses need.
+
+    moving: how fast the robot, and each of its bodies, goes at that, 1 at the usual speed. advance: what a further
+    interval adds. held: innovations of every row, had an earlier command acted there, for each of the subsystems.
+    """
+
+    e: Float[np.ndarray, "n s"]
+    moving: Float[np.ndarray, "n 1+b"]
+    advance: Float[np.ndarray, "n s"]
+    held: list[Float[np.ndarray, "k n s"]]
+    starts: np.ndarray
+
+
+def robot_of(problem: Problem) -> Robot:
+    layout = problem.augmented.layout
+    schema, names = layout.schema, tuple(f.name for f in layout.schema.state)
+    bodies = {b: np.array([i for i, f in enumerate(schema.state) if f.body == b], int) for b in layout.bodies}
+    subsystems = [("", names)]
+    for channels in _subsystems(layout)[1:]:
+        own = {schema.command[c].body for c in channels}
+        subsystems.append((f" of {', '.join(sorted(own))}", tuple(f.name for f in schema.state if f.body in own)))
+    integrated = layout.integrates >= 0
+    interval = float(np.median(problem.scales.interval[integrated])) if integrated.any() else problem.scales.time_step
+    positions = tuple(n for n, own in zip(names, integrated, strict=True) if own)
+    return Robot(interval, problem.scales.time_step, names, positions, bodies, subsystems)
+
+
+def _subsystems(layout: Layout) -> list[list[int]]:
+    """Channels that may lose their commands together: all, or those of one body."""
+    fields = layout.schema.command
+    of_bodies = [[i for i, f in enumerate(fields) if f.body == body] for body in layout.bodies]
+    every = list(range(len(fields)))
+    return [every, *(channels for channels in of_bodies if channels and channels != every)]
+
+
+def sample_of(problem: Problem, fit: Fit) -> Sample:
+    chunks = problem.chunks
+    layout, scales = problem.augmented.layout, problem.scales
+    counts = np.asarray(chunks.counts)
+    # As predicted: what was measured in a row holds the row's own noise, and would be large where that is.
+    state = (np.asarray(chunks.state)[:, 1:] - raw_innovations(problem, fit.v))[counts]
+    speed, moves = np.maximum(scales.speed, 1e-6), scales.speed > 1e-6
+    squared = np.asarray(jax.vmap(lambda s: (motion(layout, s).velocity / speed) ** 2 * moves)(jnp.asarray(state)))
+    each = squared.sum(2) / np.maximum(moves.sum(1), 1)
+    whole = squared.mean((1, 2)) if layout.bodies else np.zeros(len(state))
+    moving = np.sqrt(np.column_stack([whole, each]))
+    integrates = layout.integrates
+    rate = np.where(integrates >= 0, state[:, np.maximum(integrates, 0)], 0.0) * scales.interval
+    keys, theta = [effect.key for effect in CATALOGUE], fit.v.theta
+    held = []
+    for channels in _subsystems(layout):
+        delays = [problem.augmented.index[Slot(keys.index("delay"), 0, s)] for s in channels]
+        held.append(row_trials(problem, fit.v, [replaced(theta, delays, theta[delays] + k) for k in HELD]))
+    e = evaluate(problem, fit.v, fit.groups, fit.noise).e
+    usual = np.quantile(moving, 0.95, axis=0) if len(moving) else np.ones(moving.shape[1])
+    return Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, held, blocks(counts))

@@ -1,0 +1,105 @@
+"""Constants, intervals and statements of effects on the noise of single rows."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.inference import row_mixture
+from simgap.diagnosis.inference.noise_effect import Axis, Between, Widening
+from simgap.diagnosis.inference.noise_rows import Fitted
+from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Robot, Sample
+from simgap.diagnosis.inference.row_mixture_em import Mixture
+from simgap.diagnosis.likelihood.student_t import Noise
+
+SPANS = np.convolve([-1.5, -1.0, -0.5, 0.0, *STALLS, 8.0], [0.5, 0.5], "valid")
+"""Edges of a picture's bins, one about each of these, in further nominal intervals."""
+EVEN = np.arange(-1.125, 2.2, 0.25)
+"""The same where there are no such lengths."""
+
+
+def _constant(sample: Sample, f: Fitted, name: str, unit: str, of: Callable[[Mixture], float]) -> dict[str, Any]:
+    law = f.law(sample)
+    interval = (row_mixture.burst_interval if law.bursts else row_mixture.interval)(
+        law, sample.e, f.mixture, sample.starts, of
+    )
+    return {"name": name, "value": of(f.mixture), "unit": unit, "ci95": interval}
+
+
+def late_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
+    last = len(STALLS)
+    share = _constant(training, f, "share of stalls", "-", lambda m: float(m.shares[-last:].sum()))
+    length = _constant(
+        training, f, "length of stalls", "s",
+        lambda m: robot.interval * float(1 + m.shares[-last:] @ STALLS / m.shares[-last:].sum()),
+    )  # fmt: skip
+    several = [training.e, *(training.e - k * training.advance for k in STALLS)]
+    return {
+        "constants": [share, length], "outputs": robot.integrated,
+        "shown": _spans(robot, several, training, _of_shifts(f.mixture, last), f.mixture.noise, SPANS),
+        "statement": f"Rows are not evenly spaced in time: {share['value']:.0%} of them hold a stall and span about "
+        f"{length['value']:.2f} s of motion.",
+    }  # fmt: skip
+
+
+def uneven_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
+    jitter = _constant(training, f, "jitter", "s", lambda m: m.sd * robot.interval)
+    nodes = np.linspace(-3, 3, 25)
+    shares = np.exp(-0.5 * nodes**2)
+    several = [training.e - f.mixture.sd * z * training.advance for z in nodes]
+    return {
+        "constants": [jitter], "outputs": robot.integrated,
+        "shown": _spans(robot, several, training, shares / shares.sum(), f.mixture.noise, EVEN),
+        "statement": "Rows are not evenly spaced in time: the time that they span scatters by "
+        f"{jitter['value']:.3f} s.",
+    }  # fmt: skip
+
+
+def _spans(
+    robot: Robot, several: list[np.ndarray], training: Sample, shares: np.ndarray, noise: Noise, edges: np.ndarray
+) -> Between:
+    """The time that rows span, by how far the robot went in them."""
+    axis = Axis("time a row spans, by the way covered [s]", robot.interval, robot.interval, edges)
+    return Between(several, training.advance, shares, noise, axis)
+
+
+def _of_shifts(mixture: Mixture, number: int) -> Float[np.ndarray, " k"]:
+    """Shares of the rows that are not shifted, and of those that are."""
+    return np.append(mixture.shares[:-number].sum(), mixture.shares[-number:])
+
+
+def wide_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
+    law = f.law(training)
+    assert law.moving is not None  # its noise grows with the motion
+    columns = np.flatnonzero(law.moving.any(0))
+    names = tuple(robot.outputs[i] for i in columns)
+    where = "" if f.about == 0 else f" of {list(robot.bodies)[f.about - 1]}"
+    ratio = _constant(training, f, "ratio", "-", lambda m: 1 + m.slope)
+    noise = Noise(f.mixture.noise.scale[columns], f.mixture.noise.dof[columns])
+    return {
+        "constants": [ratio], "outputs": names,
+        "shown": Widening(training.e[:, columns], noise, training.moving[:, f.about], ratio["value"]),
+        "statement": f"The scatter{where} grows with the motion: {ratio['value']:.1f} times as wide when moving as at "
+        "rest; error bars are wrong, not means.",
+    }  # fmt: skip
+
+
+def lost_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
+    last, held = len(HELD), training.held[f.about]
+    rate = _constant(training, f, "rate", "1/min", lambda m: 60 / robot.time_step * float(m.shares[-last]))
+    length = _constant(
+        training, f, "length", "s",
+        lambda m: robot.time_step * float(m.shares[-last:].sum() / max(m.shares[-last], 1e-9)),
+    )  # fmt: skip
+    low, high = length["ci95"]  # within its last row a burst may end anywhere
+    length["ci95"] = [max(low - robot.time_step / 2, 0.0), high + robot.time_step / 2]
+    of, outputs = robot.subsystems[f.about]
+    axis = Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)
+    shares = _of_shifts(f.mixture, last)
+    return {
+        "constants": [rate, length], "outputs": outputs,
+        "shown": Between([training.e, *held], training.e - held[0], shares, f.mixture.noise, axis),
+        "statement": f"Commands{of} are lost now and then ({rate['value']:.1f} times a minute, for about "
+        f"{length['value']:.2f} s), and the last one acts on.",
+    }  # fmt: skip

@@ -1,0 +1,188 @@
+"""Whether effects act throughout, or from a time on, during a stretch of one session, or in a regime."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from simgap.diagnosis.config import LEAST_SHARE, LEVEL, OWED, OWED_BY_REGIMES
+from simgap.diagnosis.hypotheses.features import of_rows
+from simgap.diagnosis.hypotheses.space import Candidate, gated
+from simgap.diagnosis.hypotheses.support import LASTING, When, gate, told
+from simgap.diagnosis.inference.alternatives import Member
+from simgap.diagnosis.inference.gauss_newton import hold, refine
+from simgap.diagnosis.inference.heldout import gain, seen_at
+from simgap.diagnosis.inference.model import Model, Say, lacking, without
+from simgap.diagnosis.inference.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.scan import gain_of, narrowest, onset, scores, stretch
+from simgap.diagnosis.inference.score_test import Screened, Screening, vary
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
+from simgap.diagnosis.likelihood.segments import Chunks, Rows, rows_of
+from simgap.effects.regime import features
+
+LATER = tuple(np.arange(0.0, 0.95, 0.15))
+"""Shares of a session after which an effect may begin, where it is first looked for."""
+PARTS = (0.35, 0.65)
+"""Shares of the rows above and below which a regime may begin, where it is first looked for."""
+
+
+class _Restriction(NamedTuple):
+    """When a hypothesis may act, what that promises over the members as they are [nats], and the model it is in."""
+
+    promise: float
+    when: When
+    candidate: Candidate
+    model: Model
+
+
+def acts_when(model: Model, members: tuple[Member, ...], unseen: Chunks, say: Say) -> When | None:
+    """When the first effect acts that fits better from a time on, during a stretch of one session, or in a regime.
+
+    None if none does. A regime is a law of the robot's, to which held-out sessions must agree.
+    """
+    problem, layout = model.problem, model.problem.augmented.layout
+    for hypotheses in _ways(model, members):
+        # Those with shapes have an onset of their own.
+        free = [(m, c) for m, c in hypotheses if not any(constant.shapes for constant in c.effect.constants)]
+        tried = [r for m, c in free for r in _restrictions(m, c, model.fit.loglik)]
+        best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
+        if best is None or best.promise <= _owed(best.when):
+            continue
+        restricted = _behind_gate(opened(best.model, best.when), best.candidate)
+        more = restricted.loglik - model.fit.loglik
+        seen = seen_at(layout, unseen, best.when)
+        if more > _owed(best.when) and (best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0):
+            say(f"{best.candidate.name} acts {told(layout, best.when)} ({more:+.1f} nats)")
+            return best.when
+    return None
+
+
+def _ways(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Candidate]]]:
+    """What may be restricted: the first member alone, for the others may do no more than undo it where it does not act;
+    then every member among the others, with its nearest rival, which it may beat for acting throughout only."""
+    if len(members) > 1:
+        first, *others = (m.candidate for m in members)
+        yield [(lacking(model, others), first)]
+    for m in members:
+        hypotheses = [(model, m.candidate)]
+        if m.rival is not None:
+            fit = evaluate(model.problem, m.rival.fit.v, m.rival.fit.groups)
+            hypotheses.append((model._replace(fit=fit), m.rival.candidate))
+        yield hypotheses
+
+
+def _restrictions(model: Model, candidate: Candidate, loglik: float) -> list[_Restriction]:
+    """From a time on, during a stretch, in a regime: a hypothesis fitted as if it acted throughout."""
+    problem, fit, _ = model
+    rows, found = rows_of(problem.chunks), _apart(problem, candidate)
+    score, power = scores(fit, evaluate(problem, without(fit, candidate.groups).v, (), fit.noise).e, fit.e)
+    from_on, a = onset(rows, score, power)
+    during, b = stretch(rows, score, power, LASTING)
+    regime, c = narrowest(found, score, power, LEAST_SHARE)
+    throughout, ahead = float(gain_of(score.sum(), power.sum())), fit.loglik - loglik
+    whens = ((from_on, a), (during, b - throughout), (When(regime=regime), c))
+    return [_Restriction(ahead + more, when, candidate, model) for when, more in whens]
+
+
+class _Look(NamedTuple):
+    """Rows in which effects are weighed anew: in a regime, or from a time on in one session or (None) in every."""
+
+    rows: Bool[np.ndarray, " n"]
+    session: int | None = None
+    regime: bool = False
+
+
+def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Say) -> When | None:
+    """From when on, or in which regime, an effect acts that is nothing over all rows; None if by chance.
+
+    The screening's hypotheses are weighed anew over what comes after some times, and above and below some edges.
+    """
+    problem = model.problem
+    rows, found = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
+    score, power, two_sided = screening.evidence
+    starts = blocks(np.asarray(problem.chunks.counts))
+    looks = [*_later(rows), *_beyond(found)]
+    # One by one: all rows for all of these looks would be gigabytes.
+    each = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]
+    weighed = Weighed(*(np.concatenate(fields) for fields in zip(*each, strict=True)))
+    p_value, threshold = by_chance(weighed, LEVEL, rng)
+    say(f"the same from a time on, or in a regime: p = {p_value:.4f}")
+    statistic, of_regimes = weighed.statistic.reshape(len(looks), -1), np.array([look.regime for look in looks])
+    tried = []
+    for kind in (of_regimes, ~of_regimes):  # what acts from a time on shows in some regimes, and the other way round
+        among = np.where(kind[:, None], statistic, 0.0)
+        if among.max() >= threshold:
+            which, best = divmod(int(among.argmax()), len(score))
+            tried.append(_begun(model, screening.found[best], looks[which]))
+    best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
+    if best is None or best.promise <= _owed(best.when):
+        return None
+    say(f"{best.candidate.name} acts {told(problem.augmented.layout, best.when)} ({best.promise:+.1f} nats)")
+    return best.when
+
+
+def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
+    """When a hypothesis acts that shows in a look: it promises what it gains there, if the restriction is worth it."""
+    problem, fit, nuisance = model
+    evidence = scores(fit, fit.e, trials(problem, [vary(fit.v, hypothesis.candidate, hypothesis.start)])[0])
+    if look.regime:
+        regime, more = narrowest(_apart(problem, hypothesis.candidate), *evidence, LEAST_SHARE)
+        when = When(regime=regime)
+    else:
+        rows = rows_of(problem.chunks)
+        when, more = onset(rows, *evidence, look.session)
+        if look.session is not None:  # to its end
+            last = rows.time_s[rows.session == look.session].max()
+            when = when._replace(to_s=float(last) + problem.scales.time_step)
+    if more <= _owed(when):
+        return _Restriction(0.0, when, hypothesis.candidate, model)
+    there, candidate = opened(model, when).problem, gated(hypothesis.candidate)
+    begun = evaluate(there, vary(fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise)
+    return _Restriction(refine(there, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model)
+
+
+def _owed(when: When) -> float:
+    return OWED if when.regime is None else OWED_BY_REGIMES
+
+
+def _apart(problem: Problem, candidate: Candidate) -> Float[np.ndarray, "n f"]:
+    """The features of every row, those of the commands that the effect acts on made one value: an effect that differs
+    with its own command is no other regime but another law."""
+    layout = problem.augmented.layout
+    own = [c for c in (f.name for f in layout.schema.command) if c in (*candidate.channels, *candidate.where.split())]
+    told_by = np.array([f.name.strip("|") in own for f in features(layout)])
+    return np.where(told_by, 0.0, of_rows(layout, problem.chunks))
+
+
+def _later(rows: Rows) -> Iterator[_Look]:
+    """After some times, in every session and in each."""
+    for session in (None, *np.unique(rows.session).tolist()):
+        mine = np.full(len(rows.time_s), True) if session is None else rows.session == session
+        for share in LATER:
+            if share or session is not None:
+                yield _Look(mine & (rows.time_s >= share * rows.time_s[mine].max()), session)
+
+
+def _beyond(found: Float[np.ndarray, "n f"]) -> Iterator[_Look]:
+    """Above and below some edges of every feature."""
+    for column in found.T:
+        for edge in np.quantile(column, PARTS):
+            yield _Look(column > edge, regime=True)
+            yield _Look(column <= edge, regime=True)
+
+
+def opened(model: Model, when: When) -> Model:
+    """The model with its gate open when an effect acts."""
+    layout, chunks = model.problem.augmented.layout, model.problem.chunks
+    return model._replace(problem=model.problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when))))
+
+
+def _behind_gate(model: Model, throughout: Candidate) -> Fit:
+    """The fit with an effect's constants moved behind the gate."""
+    problem, fit, nuisance = model
+    candidate = gated(throughout)
+    constants = [float(fit.v.theta[g.entries[0]]) for g in throughout.groups]
+    rest = without(fit, throughout.groups)
+    begun = evaluate(problem, vary(rest.v, candidate, constants), (*rest.groups, *candidate.groups), fit.noise)
+    return refine(problem, begun, hold(fit, nuisance), 4)

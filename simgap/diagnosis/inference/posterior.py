@@ -1,0 +1,142 @@
+"""How sure the fitted constants are: a covariance that does not trust the noise to be independent."""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from simgap.diagnosis.config import LEAST_SHARE
+from simgap.diagnosis.hypotheses.space import Candidate, unit_of
+from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.inference.model import without
+from simgap.diagnosis.inference.null_distribution import blocks
+from simgap.diagnosis.inference.scan import edges_ci95, scores
+from simgap.diagnosis.likelihood.derivatives import constant_columns
+from simgap.diagnosis.likelihood.directions import directions, spans
+from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, trials
+from simgap.diagnosis.likelihood.segments import rows_of
+from simgap.diagnosis.likelihood.student_t import weights
+from simgap.effects.effect import Constant
+
+Z95 = 1.96
+EDGE = 1e-3
+"""Of a parameter's range: what is nearer to an end of it is at that end."""
+
+
+class Spread(NamedTuple):
+    """Standard deviations of phi and of the effects' constants (internal), in the order of the fit's groups.
+
+    seen: which parameters the recordings depend on at all, by a finite derivative.
+    """
+
+    phi: Float[np.ndarray, " p"]
+    constants: Float[np.ndarray, " k"]
+    seen: Bool[np.ndarray, " p"]
+
+
+def spread(
+    problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], starts: Int[np.ndarray, " B"] | None = None
+) -> Spread:
+    """The larger of the likelihood's own and the sandwich covariance over blocks of rows [White 1982].
+
+    Blocks begin at `starts`, or are short.
+    """
+    columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
+    _, precision = directions(problem, fit.groups)
+    w = weights(fit.e, fit.noise).astype(np.float64)
+    weighted = columns * w
+    flat = columns.reshape(len(columns), -1).astype(np.float64)
+    hessian = weighted.reshape(len(columns), -1) @ flat.T + np.diag(precision)
+    scale = np.sqrt(np.diag(hessian))
+    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    rows = (weighted * fit.e).sum(-1)
+    starts = blocks(np.asarray(problem.chunks.counts)) if starts is None else starts
+    score = np.add.reduceat(rows, starts, axis=1)
+    sandwich = inverse @ (score @ score.T) @ inverse
+    sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
+    p, sizes = len(fit.v.phi), np.array([group.scale for group in fit.groups])
+    seen = np.abs(columns[:p]).max((1, 2), initial=0.0) > 0
+    return Spread(sd[:p] * spans(problem), sd[len(nuisance) :] * sizes, seen)
+
+
+def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
+    """Parameters that the fit would have left their range with, or nearly, each with a sentence about it."""
+    said = {}
+    for p, value in zip(problem.augmented.simulator.parameters, map(float, fit.v.phi), strict=True):
+        for end, beyond in ((p.low, "smaller"), (p.high, "larger")):
+            if abs(value - end) <= EDGE * (p.high - p.low) and p.low < p.high:
+                said[p.name] = (
+                    f"{p.name} is at the edge of its range ({end:g}{p.unit and f' {p.unit}'}): widen the range if "
+                    f"{beyond} values are plausible."
+                )
+    return said
+
+
+def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
+    """Whether any of the effect's amplitudes is so many standard deviations from zero, and none beyond belief."""
+    told = False
+    for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
+        value = abs(float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]]))
+        if value > min(constant.credible(site, problem.scales) for site in candidate.sites):
+            return False
+        told |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
+    return told
+
+
+def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> list[dict]:
+    """The physical constants of an effect that gains so many nats, with units and 95 % intervals.
+
+    They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
+    difference between a law and the robot, whose constant is not known better than that from any number of rows.
+    Of a change since a baseline it is the change that is told: of a delay of 0.10 s that was 0.03 s, 0.07 s.
+    """
+    found, deviations = [], _deviations(gain)
+    for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
+        # Where the gate is open both act: what holds everywhere and what is added there.
+        before, c = float(fit.v.theta[group.entries[0]]), float(fit.v.gated[group.entries[0]])
+        width = deviations * float(sd.constants[fit.groups.index(group)])
+        physical = partial(_physical, problem, candidate.sites[0], constant, group)
+        nil = physical(0.0)
+        # A limit, which is infinite where there is none, has no change.
+        offset = nil - physical(before) if candidate.twin and not constant.shapes and np.isfinite(nil) else 0.0
+        value, *ends = (physical(before + x) + offset for x in (c, c - width, c + width))
+        unit = unit_of(problem.augmented, candidate, constant)
+        found.append({"name": constant.name, "value": value, "unit": unit, "ci95": sorted(ends)})
+    return found
+
+
+def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> bool:
+    """Whether the recordings say anything of the constants of an effect that gains so many nats: no interval is empty,
+    and none is a whole range."""
+    low, high = problem.augmented.bounds
+    for group in candidate.groups:
+        c = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
+        width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
+        whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
+        if whole or not width > 0:
+            return False
+    return True
+
+
+def edges(problem: Problem, fit: Fit, candidate: Candidate, when: When) -> list[dict]:
+    """Beginning and end [s] of an effect that acts during a stretch of one session, with 95 % intervals."""
+    everywhere = problem._replace(chunks=problem.chunks._replace(gate=np.ones_like(problem.chunks.gate)))
+    bare = evaluate(problem, without(fit, candidate.groups).v, (), fit.noise)
+    evidence = scores(fit, bare.e, trials(everywhere, [fit.v])[0])
+    intervals = edges_ci95(rows_of(problem.chunks), when, *evidence)
+    return [
+        {"name": name, "value": value, "unit": "s", "ci95": list(interval)}
+        for name, value, interval in zip(("from", "to"), (when.from_s, when.to_s), intervals, strict=True)
+    ]
+
+
+def _deviations(gain: float) -> float:
+    """Standard deviations to the ends of an interval, for an effect that gains so many nats."""
+    return float(np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0)))
+
+
+def _physical(problem: Problem, site: int, constant: Constant, group: Group, internal: float) -> float:
+    """The physical value of an internal one, which is kept within its bounds."""
+    low, high = (float(bound[group.entries[0]]) for bound in problem.augmented.bounds)
+    return float(constant.physical(float(np.clip(internal, low, high)), site, problem.scales))

@@ -1,0 +1,182 @@
+"""The time, stretch or regime in which an effect gains most, from its row-wise scores."""
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.hypotheses.support import PUSH, When, elsewhere
+from simgap.diagnosis.likelihood.problem import Fit
+from simgap.diagnosis.likelihood.segments import Rows
+from simgap.diagnosis.likelihood.student_t import weights
+from simgap.effects.regime import EVERYWHERE, Regime
+
+LENGTHS = (8, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
+"""Rows of the stretches that are tried; edges are refined afterwards."""
+EDGE = 0.025
+"""Share of the longest session, or of the one at hand, at either end in which no effect is said to begin."""
+FLIP = 4
+"""Rows that share a sign in the bootstrap of stretches."""
+DRAWS = 100
+CORRELATED = 20
+"""Rows whose scores may be dependent."""
+NO_INFORMATION = 1e-9
+"""Information [nats] below this counts as zero."""
+
+
+def scores(
+    fit: Fit, without: Float[np.ndarray, "n s"], with_it: Float[np.ndarray, "n s"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Score and information of every row for an effect between two sets of innovations: (S, P), gain S^2 / 2P."""
+    w = weights(fit.e, fit.noise)
+    d = with_it - without
+    return -(w * without * d).sum(1), (w * d**2).sum(1)
+
+
+def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None = None) -> tuple[When, float]:
+    """The best time from which an effect acts, in every session or in one, and what the restriction gains [nats].
+
+    In one session it may act all the time.
+    """
+    throughout = gain_of(score.sum(), power.sum())
+    mine = np.full(len(score), True) if session is None else rows.session == session
+    latest_first = np.flatnonzero(mine)[np.argsort(-rows.time_s[mine], kind="stable")]
+    times = rows.time_s[latest_first]
+    s, p = np.cumsum(score[latest_first]), np.cumsum(power[latest_first])
+    more = gain_of(s, p) - throughout
+    # With a row belong all of its time.
+    possible = np.append(times[1:] < times[:-1], session is not None)
+    inside = (times > EDGE * times[0]) & (times < (1 - EDGE) * times[0])
+    possible[:-1] &= inside[:-1]
+    more = np.where(possible, more, 0.0)
+    best = int(more.argmax())
+    return When(session, float(times[best]) if more[best] > 0 else 0.0, np.inf), float(more[best])
+
+
+def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[When, float]:
+    """The best stretch of at least so many rows of one session, and its gain [nats]."""
+    best, where = 0.0, (0, 0, 0)
+    for s in np.unique(rows.session):
+        mine = np.flatnonzero(rows.session == s)
+        gain, start, length = _best_window(score[mine], power[mine], shortest)
+        if gain > best:
+            best, where = gain, (int(s), start, length)
+    s, start, length = where
+    mine = np.flatnonzero(rows.session == s)
+    start, stop = _edges(score[mine], power[mine], start, start + length, shortest)
+    time = rows.time_s[mine]
+    step = np.median(np.diff(time)) if len(time) > 1 else 0.0
+    gain = gain_of(score[mine[start:stop]].sum(), power[mine[start:stop]].sum())
+    return When(s, float(time[start]), float(time[stop - 1] + step)), float(gain)
+
+
+def stretch_by_chance(
+    rows: Rows, score: np.ndarray, power: np.ndarray, level: float, rng: np.random.Generator
+) -> float:
+    """Gain [nats] that the best stretch reaches by chance with probability `level`.
+
+    The larger of two: what random signs give, extrapolated (the best stretch itself takes no part: if something
+    happened there, it is not chance), and what independent stretches would give, which is ln(number / level).
+    """
+    when, _ = stretch(rows, score, power, PUSH)
+    score = elsewhere(rows, when, score)
+    best = []
+    for _ in range(DRAWS):
+        sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
+        best.append(max(_best_window(score[m] * sign[m], power[m], PUSH)[0] for m in _sessions(rows)))
+    # Gains of many stretches have an exponential tail: Gumbel, by its moments.
+    scale = np.std(best) * np.sqrt(6) / np.pi
+    drawn = np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level))
+    return float(max(drawn, np.log(len(score) * len(LENGTHS) / level)))
+
+
+def edges_ci95(
+    rows: Rows, when: When, score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """95 % intervals [s] of the beginning and the end of a stretch of one session, by profile likelihood.
+
+    What an edge loses against the best is below x with probability (1 - exp(-x))^2 where it is the true one, the effect
+    being fitted anew [Hansen 2000, for thresholds]: it is no chi-squared, for an edge moves by whole rows. Scores that
+    vary more than they should, over blocks of rows, count for less. Between two rows an edge may lie anywhere.
+    """
+    mine = np.flatnonzero(rows.session == when.session)
+    time, score, power = rows.time_s[mine], score[mine], power[mine]
+    step = float(np.median(np.diff(time)))
+    start, stop = (int(np.searchsorted(time, t - step / 2)) for t in (when.from_s, when.to_s))
+    acts = (np.arange(len(time)) >= start) & (np.arange(len(time)) < stop)
+    amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
+    about = np.add.reduceat(score - np.where(acts, amplitude * power, 0.0), np.arange(0, len(time), CORRELATED))
+    lost = -np.log(1 - np.sqrt(0.95)) * max(1.0, float((about**2).sum() / max(power.sum(), 1e-9)))
+    s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
+    starts, stops = np.arange(stop), np.arange(start + 1, len(time) + 1)
+    found = []
+    for at, gain in (
+        (starts, gain_of(s[stop] - s[starts], p[stop] - p[starts])),
+        (stops, gain_of(s[stops] - s[start], p[stops] - p[start])),
+    ):
+        possible = at[gain > gain.max() - lost]
+        edge = np.append(time, time[-1] + step)[possible]
+        found.append((float(edge.min() - step / 2), float(edge.max() + step / 2)))
+    return found[0], found[1]
+
+
+def _sessions(rows: Rows) -> list[np.ndarray]:
+    return [np.flatnonzero(rows.session == s) for s in np.unique(rows.session)]
+
+
+def gain_of(score: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Gain [nats] with the best amplitude along a direction, S^2 / 2P; zero where there is no information."""
+    return np.where(power > NO_INFORMATION, 0.5 * score**2 / np.maximum(power, NO_INFORMATION), 0.0)
+
+
+def _best_window(score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[float, int, int]:
+    s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
+    best = (0.0, 0, min(LENGTHS[0], len(score)))
+    for length in (k for k in LENGTHS if shortest <= k <= len(score)):
+        gain = gain_of(s[length:] - s[:-length], p[length:] - p[:-length])
+        k = int(gain.argmax())
+        if gain[k] > best[0]:
+            best = (float(gain[k]), k, length)
+    return best
+
+
+def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int, shortest: int) -> tuple[int, int]:
+    """Move both edges to where the gain is greatest."""
+    s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
+    for _ in range(3):
+        starts = np.arange(0, max(stop - shortest, 0) + 1)
+        start = int(starts[np.argmax((s[stop] - s[starts]) ** 2 / np.maximum(p[stop] - p[starts], 1e-9))])
+        stops = np.arange(min(start + shortest, len(score)), len(score) + 1)
+        stop = int(stops[np.argmax((s[stops] - s[start]) ** 2 / np.maximum(p[stops] - p[start], 1e-9))])
+    return start, stop
+
+
+FEWEST = 0.04
+"""Share of the rows that a regime, and what lies outside, must have."""
+SILENT = 4.0
+"""Gain [nats] at most, besides `share` of what the effect gains inside, of an effect of another size outside."""
+
+
+def narrowest(
+    found: Float[np.ndarray, "n f"], score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"], share: float
+) -> tuple[Regime, float]:
+    """The regime to which an effect is best restricted, and what the restriction gains [nats]; everywhere, if nothing.
+
+    `score` and `power` are those of every row (see `when.scores`). Outside, where the effect must be silent, an effect
+    of any other size may gain `SILENT` at most, and `share` of what the effect gains inside.
+    """
+    best, most = EVERYWHERE, 0.0
+    throughout = gain_of(score.sum(), power.sum())
+    for k, column in enumerate(found.T):
+        order = np.argsort(column, kind="stable")
+        s, p = (np.cumsum(a[order]) for a in (score, power))
+        ordered, fewest = column[order], int(np.ceil(FEWEST * len(column)))
+        # Behind which rows an edge may lie: with a value belong all rows that have it.
+        last = np.flatnonzero(ordered[:-1] < ordered[1:])
+        last = last[(last + 1 >= fewest) & (last + 1 <= len(column) - fewest)]
+        below, above = gain_of(s[last], p[last]), gain_of(s[-1] - s[last], p[-1] - p[last])
+        for side, acting, silent in ((1.0, above, below), (-1.0, below, above)):
+            more = np.where(silent < SILENT + share * acting, acting - throughout, 0.0)
+            if more.max(initial=0.0) > most:
+                i = int(more.argmax())
+                edge = float(ordered[last[i]] + ordered[last[i] + 1]) / 2
+                best, most = Regime(k, side, edge), float(more[i])
+    return best, most

@@ -1,0 +1,175 @@
+"""Which effects explain the recordings: one more at a time, while noise cannot explain what the best of them gains."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from simgap.diagnosis.config import LEVEL, MOST_EFFECTS, MOST_SITES
+from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, optimise, refine
+from simgap.diagnosis.inference.model import (
+    Found,
+    Helps,
+    Model,
+    Round,
+    Say,
+    Tried,
+    absorbing,
+    decorrelated,
+    least,
+    settled,
+)
+from simgap.diagnosis.inference.score_test import Screened, screen, vary
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials
+from simgap.diagnosis.likelihood.student_t import log_density
+
+FITTED = 10
+"""Hypotheses that get a first fit in a round, at most,"""
+HOPELESS = 0.1
+"""where they are expected to gain this share of the best gain so far."""
+FINALISTS = 4
+"""Those whose fit is carried on,"""
+CONTENDER = 0.5
+"""and to its end where it gains, or should, this share of what the best gains."""
+SHARES = tuple(np.geomspace(1, 0.02, 8))
+"""Of the amplitude that the screening expects, where a fit may start."""
+
+
+def one_more(
+    model: Model, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say, own: Tried | None = None
+) -> Round:
+    """Screen all hypotheses, fit the most promising, carry the best of those to the end.
+
+    One of them may be fitted already: the `own` that holds the place.
+    """
+    problem, fit, _ = model
+    taken = {(entry, group.gated) for group in fit.groups for entry in group.entries}
+    free = [c for c in candidates if not taken & {(e, g.gated) for g in c.groups for e in g.entries}]
+    absorbed = absorbing(model)
+    screening = screen(problem, fit, absorbed, free, LEVEL, rng)
+    say(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
+    if screening.p_value > LEVEL:
+        return Round(screening, [])
+    held, fitted = hold(fit, absorbed), [own] if own else []
+    likely = [s for s in promising(screening.found) if s.candidate.name not in {t.candidate.name for t in fitted}]
+    tried: list[Tried] = []
+    for some in _at_once(likely):
+        best = max([t.gain for t in (*fitted, *tried)], default=0.0)
+        some = [s for s in some if s.gain >= HOPELESS * best]
+        begun = side_by_side(lambda s: _try(problem, fit, held, s, 3), some)
+        tried += [t for t in begun if np.isfinite(t.gain)]
+    tried.sort(key=lambda t: -t.promise)
+    finalists = side_by_side(lambda t: t.further(lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
+    others, tried = tried[FINALISTS:], []
+    for some in _at_once(sorted(finalists, key=lambda t: -t.promise)):
+        best = max(t.gain for t in (*fitted, *finalists, *tried))
+        tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, some)
+    tried = sorted([*fitted, *tried, *others], key=lambda t: -t.gain)
+    say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
+    return Round(screening, tried)
+
+
+def _at_once(ordered: Sequence) -> list[Sequence]:
+    return [ordered[first : first + THREADS] for first in range(0, len(ordered), THREADS)]
+
+
+def _contends(t: Tried, best: float) -> bool:
+    """Whether a hypothesis may gain as much as the best; one with basins may stand in a low one as yet."""
+    return t.promise >= (HOPELESS if t.candidate.effect.basins else CONTENDER) * best
+
+
+def _to_its_end(problem: Problem, t: Tried) -> Tried:
+    """Fitted until steps gain next to nothing; where there are basins, from every start beyond where it stands too.
+
+    From these with derivatives at the start itself: those at hand do not lead from there, nor do parameters as fitted
+    in another basin.
+    """
+    ends = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
+    if t.candidate.effect.basins:
+        group = t.candidate.groups[0]
+        now = float((t.fit.v.gated if group.gated else t.fit.v.theta)[group.entries[0]])
+        for start in (s for s in t.candidate.starts if s[0] > now):
+            begun = evaluate(problem, vary(t.without.v, t.candidate, start), t.fit.groups, t.without.noise)
+            if np.isfinite(begun.loglik):
+                ends.append(t.further(lambda _, begun=begun: optimise(problem, begun, settled(t.gain))[0]))
+    return max(ends, key=lambda end: end.gain)
+
+
+def promising(found: Sequence[Screened]) -> list[Screened]:
+    """The best two hypotheses of each effect, best first, each where it stands best.
+
+    A limit's best direction may be that of one far too tight, which is nil, and leads nowhere, at any share of itself.
+    """
+    chosen: list[Screened] = []
+    seen: set[tuple[str, bool, str]] = set()
+    for s in found:
+        key = (s.candidate.effect.key, bool(s.candidate.twin))
+        name = (*key, s.candidate.where)
+        if s.gain < 2 or name in seen:
+            continue
+        if sum((c.candidate.effect.key, bool(c.candidate.twin)) == key for c in chosen) < 2:
+            near = [o for o in found if o.candidate is s.candidate and o.constant == s.constant]
+            near = [o for o in near if o.gain >= CONTENDER * s.gain]
+            chosen.append(s._replace(start=max(near, key=lambda o: o.as_it_stands).start))
+            seen.add(name)
+        if len(chosen) == FITTED:
+            break
+    return chosen
+
+
+def _try(problem: Problem, fit: Fit, held: Held, s: Screened, iterations: int) -> Tried:
+    v = _highest(problem, fit, s)
+    twin = tuple(g for g in s.candidate.twin if g not in fit.groups)
+    begun = evaluate(problem, v, (*fit.groups, *twin, *s.candidate.groups), fit.noise)
+    done, rest = refine(problem, begun, held, iterations), fit
+    if twin:
+        there = vary(fit.v, s.candidate._replace(groups=s.candidate.twin), s.start)
+        begun = evaluate(problem, there, (*fit.groups, *twin), fit.noise)
+        rest = max(fit, refine(problem, begun, held, iterations + HELD), key=lambda f: f.loglik)
+    return Tried.of(s.candidate, done, rest, s.gain)
+
+
+def _highest(problem: Problem, fit: Fit, s: Screened) -> Variables:
+    """The likeliest of several constants: near the start where derivatives lead nowhere, else between nil and there,
+    for what the screening expects of an amplitude may lie beyond the summit."""
+    constants = s.candidate.effect.constants
+    if s.candidate.effect.jagged:
+        near = [tuple(c * share for c in s.start) for share in np.linspace(0.9, 1.1, 36)]
+    else:
+        near = [
+            tuple(c if of.shapes else c * share for of, c in zip(constants, s.start, strict=True)) for share in SHARES
+        ]
+    vs = [vary(fit.v, s.candidate, constants) for constants in near]
+    logliks = [log_density(one, fit.noise).sum() for one in trials(problem, vs)]
+    return vs[int(np.argmax(np.nan_to_num(logliks, nan=-np.inf)))]
+
+
+def search(
+    problem: Problem,
+    fit: Fit,
+    candidates: Sequence[Candidate],
+    helps: Helps,
+    rng: np.random.Generator,
+    say: Say,
+) -> Found:
+    """Add effects one by one, each the best of those that are more than noise and that held-out sessions agree to."""
+    model = decorrelated(problem, optimise(problem, fit)[0])
+    base, chosen, rounds = model.fit, [], []
+    while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
+        found = one_more(model, candidates, rng, say)
+        owed = found.screening.threshold / 2
+        worthy = [t for t in found.tried if t.gain > max(owed, least(model.problem, base, model.fit, t.fit))]
+        best = next((t for t in worthy if helps(model.problem, t, owed)), None)
+        for t in worthy[: worthy.index(best)] if best else worthy:
+            say(f"{t.candidate.name} does not hold on sessions that took no part")
+        if best is None:
+            rounds.append(found)
+            break
+        # Rivals are compared with what was chosen, the best that holds.
+        tried = sorted(found.tried, key=lambda t: (t is not best, -t.gain))
+        rounds.append(found._replace(tried=tried, accepted=best.candidate.name))
+        chosen.append(best.candidate)
+        say(f"added {best.candidate.name} ({best.gain:+.1f} nats)")
+        model = decorrelated(model.problem, best.fit)
+    return Found(base, model, chosen, rounds)

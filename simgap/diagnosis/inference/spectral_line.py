@@ -1,0 +1,219 @@
+"""Shaking at one frequency, as stepping has it: a peak in the spectrum of what the model of the mean leaves over."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaincc, stdtrit
+
+from simgap.diagnosis.inference.alternatives import compared
+from simgap.diagnosis.inference.noise_effect import OTHER, OWED, Scatter, Spectrum
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
+from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
+
+SEGMENT = 64
+"""Rows of the periodograms in which stepping is looked for."""
+LEVEL = 1e-3
+"""Chance of a peak as certain where nothing shakes."""
+POWER = float((np.hanning(SEGMENT) ** 2).sum())
+"""Of the window."""
+NO_POWER = 1e-18
+STRONGER = 1.5
+"""Times the amplitude of any in a baseline that shaking must have to be new."""
+
+
+class _Pieces(NamedTuple):
+    """Sessions in segments under Hann's window: raw innovations, and commands, each less its mean."""
+
+    e: Float[np.ndarray, "S t s"]
+    command: Float[np.ndarray, "S t u"]
+
+    def power(self) -> Float[np.ndarray, "f s"]:
+        """Summed over segments."""
+        return (np.abs(np.fft.rfft(self.e, axis=1)) ** 2).sum(0) / POWER
+
+
+def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) -> Scatter | None:
+    """A peak in the periodogram of an output's innovations, over the level of its neighbours.
+
+    A robot that steps does so with the force and at the rate that its way asks for: what is new exceeds the strongest
+    peak of the baseline, wherever that lies.
+    """
+    pieces = _pieces(problem, fit)
+    power, count = pieces.power(), len(pieces.e)
+    found = _peak(power, count)
+    if found is None:
+        return None
+    k, best, gain, amplitude, above = found
+    if before is not None and amplitude < STRONGER * _strongest(problem._replace(chunks=before), fit, best):
+        return None
+    there = _pieces(problem._replace(chunks=unseen), fit)
+    if not len(there.e):
+        return None
+    held = float(_of_line(*_at(there, k, best), above).sum())
+    _, level = _at(pieces, k, best)
+    odds = _odds(pieces, k, best, above)
+    if held <= 0 or odds is None:
+        return None
+    field, hertz = problem.augmented.simulator.schema.state[best], 1 / (SEGMENT * problem.scales.time_step)
+    line = line_of(pieces.e[:, :, best], k, level)
+    times = 1 / _left_of_wave(problem, fit, best, line.amplitude[0], hertz * line.frequency[0])
+    unit = field.unit
+    if field.kind != "velocity":
+        times, unit = 2 * np.pi * hertz * line.frequency[0] * times, f"{unit}/s"
+    constants = [
+        {"name": name, "value": scale * value, "unit": of, "ci95": [scale * low, scale * high]}
+        for name, scale, of, (value, low, high) in
+        (("amplitude", times, unit, line.amplitude), ("frequency", hertz, "Hz", line.frequency))
+    ]  # fmt: skip
+    said = (
+        f"The body shakes periodically, at {constants[1]['value']:.2f} Hz with about {constants[0]['value']:.2g} {unit}"
+    )
+    shown = Spectrum(power[:, best], level * count, k, count, hertz, field)
+    return Scatter(
+        "gait_oscillation", False, constants, (field.name,), f"{said} ({field.name}), as stepping does.", gain, held,
+        odds, shown,
+    )  # fmt: skip
+
+
+def _pieces(problem: Problem, fit: Fit) -> _Pieces:
+    raw = evaluate(problem._replace(whiten=np.eye(len(problem.whiten))), fit.v, fit.groups, fit.noise).e
+    chunks, rows = problem.chunks, rows_of(problem.chunks)
+    command = np.asarray(chunks.command)[:, :-1][np.asarray(chunks.counts)]
+    window, both = np.hanning(SEGMENT)[:, None], np.hstack([raw, command])
+    found = [
+        window * (piece - piece.mean(0))
+        for s in np.unique(rows.session)
+        for mine in [both[rows.session == s]]
+        for piece in np.split(mine[: len(mine) // SEGMENT * SEGMENT], len(mine) // SEGMENT or 1)
+        if len(piece)
+    ]
+    pieces = np.array(found).reshape(len(found), SEGMENT, both.shape[1])
+    return _Pieces(pieces[:, :, : raw.shape[1]], pieces[:, :, raw.shape[1] :])
+
+
+def _at(pieces: _Pieces, k: int, output: int) -> tuple[Float[np.ndarray, " S"], float]:
+    """Power of every segment at a bin, and the level around it."""
+    level = _neighbours(pieces.power()[:, output])[k] / len(pieces.e)
+    return np.abs(np.fft.rfft(pieces.e[:, :, output], axis=1)[:, k]) ** 2 / POWER, max(float(level), NO_POWER)
+
+
+def _of_line(power: Float[np.ndarray, " S"], level: float, above: float) -> Float[np.ndarray, " S"]:
+    """Gain of every segment's power, exponentially distributed with so many times the level [Whittle 1953]."""
+    return power / level * (1 - 1 / above) - np.log(above)
+
+
+def _odds(pieces: _Pieces, k: int, output: int, above: float) -> dict[str, float] | None:
+    """Probability of shaking, against the level around and against a response to a command that the model lacks; none
+    where shaking is not the best of these, or a single segment makes it."""
+    power, level = _at(pieces, k, output)
+    density = {"gait_oscillation": _of_line(power, level, above), OTHER: np.zeros(len(power))}
+    constants = {"gait_oscillation": 2, OTHER: 0}
+    if np.sort(density["gait_oscillation"])[:-1].sum() < OWED:
+        return None
+    x = np.fft.rfft(pieces.e[:, :, output], axis=1)[:, k]
+    for u in np.fft.rfft(pieces.command, axis=1)[:, k].T:
+        # Every segment by the response of the others to this command; what that leaves is at the level.
+        us, xs = np.abs(u) ** 2, np.conj(u) * x
+        response = (xs.sum() - xs) / np.maximum(us.sum() - us, NO_POWER)
+        driven = (power - np.abs(x - response * u) ** 2 / POWER) / level
+        if driven.sum() > density[OTHER].sum():
+            density[OTHER] = driven
+    score = {name: d.sum() - 0.5 * constants[name] * np.log(len(power)) for name, d in density.items()}
+    lead = max(score, key=lambda name: score[name])
+    if lead == OTHER:
+        return None
+    starts = np.arange(len(power))
+    return compared(density, constants, starts, lead, float(density[lead].sum()))
+
+
+class Line(NamedTuple):
+    """Amplitude, and frequency in bins, each with the ends of its 95 % interval."""
+
+    amplitude: tuple[float, float, float]
+    frequency: tuple[float, float, float]
+
+
+def line_of(pieces: Float[np.ndarray, "S t"], k: int, level: float) -> Line:
+    """A wave near a bin, with a phase of its own in every windowed segment, over noise of a level.
+
+    Frequency: where the summed power is greatest. Intervals: Student's t of what the segments differ by [White 1982].
+    """
+    time = np.arange(pieces.shape[1])
+    angles = -2j * np.pi * time / len(time)
+
+    def at(f: Float[np.ndarray, " m"]) -> Float[np.ndarray, "S m"]:
+        return np.abs(pieces @ np.exp(angles[:, None] * f)) ** 2 / POWER
+
+    tried = np.linspace(k - 1, k + 1, 401)
+    best = int(np.clip(at(tried).sum(0).argmax(), 1, len(tried) - 2))
+    step = tried[1] - tried[0]
+    low, middle, high = at(tried[best - 1 : best + 2]).T
+    slope, bend = (high - low) / (2 * step), ((high - 2 * middle + low) / step**2).sum()
+    f = float(np.clip(tried[best] - slope.sum() / bend, tried[0], tried[-1]) if bend < 0 else tried[best])
+    t = float(stdtrit(len(pieces) - 1, 0.975))
+    width = t * float(np.sqrt((slope**2).sum() * len(slope) / (len(slope) - 1))) / max(abs(float(bend)), NO_POWER)
+    squares = 4 * (at(np.array([f]))[:, 0] - level) * POWER / np.hanning(len(time)).sum() ** 2
+    mean, error = float(squares.mean()), t * float(squares.std(ddof=1) / np.sqrt(len(squares)))
+    amplitude = [float(np.sqrt(max(a, 0.0))) for a in (mean, mean - error, mean + error)]
+    return Line((amplitude[0], amplitude[1], amplitude[2]), (f, f - width, f + width))
+
+
+def _left_of_wave(problem: Problem, fit: Fit, output: int, amplitude: float, hertz: float) -> float:
+    """Share of an output's wave that is left in its innovations: some of it is foretold by what is measured of it."""
+    chunks = problem.chunks
+    wave = amplitude * jnp.sin(2 * jnp.pi * hertz * chunks.time_s)
+    shaken = problem._replace(chunks=chunks._replace(state=chunks.state.at[..., output].add(wave)))
+    added = counted(chunks, raw_innovations(shaken, fit.v) - raw_innovations(problem, fit.v))[:, output]
+    return float(np.sqrt(2 * np.mean(added**2)) / amplitude)
+
+
+def _strongest(problem: Problem, fit: Fit, output: int) -> float:
+    """Amplitude of an output's strongest peak."""
+    pieces = _pieces(problem, fit)
+    power, segments = pieces.power(), len(pieces.e)
+    inside = range(3, len(power) - 2)
+    return max(_amplitude(power[:, output], segments, k) for k in inside) if segments else 0.0
+
+
+def _neighbours(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+    """Level around every frequency: the greater of the medians at 3 to 8 bins' distance below and above.
+
+    Of a spectrum that falls steeply, as slow drifts have it, no part is a peak.
+    """
+    away = np.arange(3, 9)
+    index = np.arange(len(power))[:, None, None] + np.stack([-away, away])
+    inside = (index >= 1) & (index < len(power))
+    values = np.where(inside, power[np.clip(index, 0, len(power) - 1)], np.nan)
+    # Close to an end of the spectrum there is one side only; below, its lowest bins.
+    values[:, 0, 0] = np.where(inside[:, 0].any(1), values[:, 0, 0], power[1])
+    values[:, 1, 0] = np.where(inside[:, 1].any(1), values[:, 1, 0], power[-1])
+    return np.nanmedian(values, axis=2).max(1)
+
+
+def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, float, float, float] | None:
+    """(frequency bin, output, gain [nats], amplitude, times the level) of the most certain peak, if it is certain.
+
+    A segment's power is exponentially distributed: at the level around, or at so many times that level.
+    """
+    if segments < 3:
+        return None
+    best = None
+    for j in range(power.shape[1]):
+        level = _neighbours(power[:, j]) / segments
+        ratio = power[:, j] / np.maximum(level, NO_POWER)
+        k = 3 + int(ratio[3:-2].argmax())
+        # Of a flat spectrum the ratio is Gamma distributed; the level itself is an estimate, hence half the segments.
+        chance = gammaincc(segments / 2, ratio[k] / 2) * power.size
+        if chance < LEVEL and (best is None or ratio[k] > best[4] * segments):
+            above = float(ratio[k] / segments)
+            gain = float(segments * (above - 1 - np.log(above)))
+            best = (k, j, gain, _amplitude(power[:, j], segments, k), above)
+    return best if best and best[2] > OWED else None
+
+
+def _amplitude(power: Float[np.ndarray, " f"], segments: int, k: int) -> float:
+    """Of a wave at a bin and those beside it, by its power over the level around it."""
+    level = _neighbours(power)[k]
+    return float(np.sqrt(4 * (power[k - 1 : k + 2] - level).clip(0).sum() / (segments * SEGMENT)))

@@ -1,0 +1,102 @@
+"""What changed since a baseline: a difference between two sets of sessions, beyond that between sessions of one set."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+from scipy.special import stdtrit
+
+from simgap.diagnosis.config import LEAST_SESSIONS, LEVEL
+from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.inference.model import Model, Tried
+from simgap.diagnosis.inference.noise import scatter
+from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.posterior import spread, told_from_nil
+from simgap.diagnosis.inference.whiteness import LeftOver, by_row, left_over
+from simgap.diagnosis.likelihood.derivatives import nuisance_columns
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
+from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
+from simgap.types import Recording
+
+
+def behind_gate(chunks: Chunks, baseline: int) -> Chunks:
+    """With the gate open in the sessions after those of the baseline only."""
+    since = (np.asarray(chunks.session) >= baseline)[:, None]
+    return chunks._replace(gate=np.repeat(since, chunks.gate.shape[1], 1).astype(np.float32))
+
+
+class _Units(NamedTuple):
+    """What is independent: sessions, or chunks of few. starts: among the rows that count. sure: standard deviations
+    that a difference between the two sets must have."""
+
+    starts: Int[np.ndarray, " U"]
+    sure: float
+
+
+def differs(problem: Problem, tried: Tried, baseline: int) -> bool:
+    """Whether an effect is another one since, however it varies from session to session before and after.
+
+    What varies so, for physics that has no name or none yet, differs between any two sets of sessions.
+    """
+    units = _units(problem.chunks, baseline)
+    sd = spread(problem, tried.fit, nuisance_columns(problem, tried.fit.v), units.starts)
+    return told_from_nil(problem, tried.fit, tried.candidate, sd, units.sure)
+
+
+def _units(chunks: Chunks, baseline: int) -> _Units:
+    """Of the two sets: the first so many sessions, and the others."""
+    length, session = np.asarray(chunks.counts).sum(1), np.asarray(chunks.session)
+    unit = np.where(length > 0, session, -1)
+    if _fewest(unit, session < baseline) < LEAST_SESSIONS:
+        unit = np.where(length > 0, np.arange(len(length)), -1)
+    fewest = _fewest(unit, session < baseline)
+    starts = np.flatnonzero(np.diff(np.repeat(unit, length), prepend=-1))
+    return _Units(starts, float(stdtrit(max(fewest - 1, 1), 1 - LEVEL / 2)))
+
+
+def _fewest(unit: Int[np.ndarray, " C"], before: Bool[np.ndarray, " C"]) -> int:
+    """Number of units on the side that has fewer."""
+    return min(len(np.unique(unit[side & (unit >= 0)])) for side in (before, ~before))
+
+
+def left_since(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
+    """What is left over, row for row, more than in the first so many sessions.
+
+    A robot leaves a good deal over that no word of the vocabulary explains: no change, where it always has.
+    """
+    left, since = left_over(problem, fit), rows_of(problem.chunks).session >= baseline
+    gained, units = by_row(fit, left), _units(problem.chunks, baseline)
+
+    def mean(rows: Bool[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
+        """Of some rows, with its variance over units."""
+        mean = gained[rows].mean(0)
+        about = np.where(rows[:, None], gained - mean, 0.0)
+        return mean, (np.add.reduceat(about, units.starts) ** 2).sum(0) / rows.sum() ** 2
+
+    (now, its), (before, theirs) = mean(since), mean(~since)
+    more = now - before
+    sure = more > units.sure * np.sqrt(its + theirs)
+    part = np.where(sure, more / np.maximum(now, 1e-12), 0.0)
+    return LeftOver(np.where(sure, more, 0.0) * since.sum(), part * left.share, part * left.foretold)
+
+
+def leaves(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
+    """What a fit leaves over, since the baseline of so many sessions where there is one."""
+    return left_since(problem, fit, baseline) if baseline else left_over(problem, fit)
+
+
+def scatter_since(
+    model: Model, training: Sequence[Recording], baseline: Sequence[Recording], unseen: Chunks
+) -> list[Scatter]:
+    """Effects on the scatter that the baseline does not have as well."""
+    problem, fit, _ = model
+    time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
+    after, before = (cut(sessions, time_step, least) for sessions in (training, baseline))
+    at = problem._replace(chunks=after)
+    return scatter(at, evaluate(at, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate))
+
+
+def acted_before(when: When | None, baseline: int) -> bool:
+    """Whether something acts in one session, and that is the baseline's."""
+    return when is not None and when.session is not None and when.session < baseline

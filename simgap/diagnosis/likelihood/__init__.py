@@ -1,0 +1,1 @@
+"""The likelihood of recordings under a simulator: segments, filter, noise, derivatives."""

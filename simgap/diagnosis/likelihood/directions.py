@@ -1,0 +1,92 @@
+"""What is free in a fit: parameters, filter gain and effects' constants, with their units, bounds and prior."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import Group, Problem, replaced
+
+TRUST = (0.0, 1.0)
+"""Bounds of K's diagonal: the share of an innovation that a measured output is trusted with."""
+CROSS = 3.0
+"""Bound of K's other entries, in units of the time step."""
+PRIOR_PRECISION = 1.0
+"""Of the simulator's parameters, in units of their ranges: a range is one standard deviation, hence hardly a prior."""
+
+
+def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Float[np.ndarray, " M"]]:
+    """Unit directions of all that is free (phi by ranges, K, constants by scales), and the precision of their prior."""
+    p, s, size = len(problem.augmented.simulator.parameters), len(problem.whiten), len(problem.augmented.slots)
+    c = len(problem.augmented.layout.akin)
+    m = p + s + c + len(groups)
+    phi, gain, cross, theta, gated = (np.zeros((m, n), np.float32) for n in (p, s, c, size, size))
+    phi[:p] = np.diag(spans(problem))
+    gain[p : p + s] = np.eye(s)
+    cross[p + s : p + s + c] = np.eye(c)
+    for k, group in enumerate(groups):
+        (gated if group.gated else theta)[p + s + c + k, list(group.entries)] = group.scale
+    precision = [(p, PRIOR_PRECISION), (s, 0.1), (c, 1.0), (len(groups), 1e-8)]
+    return Variables(phi, gain, cross, theta, gated), np.concatenate([np.full(n, each) for n, each in precision])
+
+
+def spans(problem: Problem) -> Float[np.ndarray, " p"]:
+    """Widths of the parameters' ranges: their units in fits and derivatives."""
+    return np.array([q.high - q.low or 1.0 for q in problem.augmented.simulator.parameters])
+
+
+def bounds_of(problem: Problem, v: Variables, group: Group) -> tuple[float, float]:
+    """Between which a constant makes sense: where it is gated, together with what acts everywhere."""
+    entries = list(group.entries)
+    low, high = (bound[entries] for bound in problem.augmented.bounds)
+    if not group.gated:
+        return float(low.max()), float(high.min())
+    here, value = np.asarray(v.theta)[entries], float(v.gated[entries[0]])
+    return min(float((low - here).max()), value), max(float((high - here).min()), value)
+
+
+def _ranges(problem: Problem) -> tuple[Any, Any]:
+    """Least and greatest values that the parameters may have."""
+    return problem.augmented.ranges if problem.ranges_hold else (-np.inf, np.inf)
+
+
+def room_to_move(
+    problem: Problem, v: Variables, groups: Sequence[Group]
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
+    """How far each free direction can be gone from v, down and up."""
+    (low, high), units = _ranges(problem), spans(problem)
+    down = [(low - v.phi) / units, TRUST[0] - v.gain, -CROSS - v.cross]
+    up = [(high - v.phi) / units, TRUST[1] - v.gain, CROSS - v.cross]
+    for group in groups:
+        least, most = (-np.inf, np.inf) if group.gated else bounds_of(problem, v, group)
+        value = v.theta[group.entries[0]]
+        down.append(np.array([(least - value) / group.scale]))
+        up.append(np.array([(most - value) / group.scale]))
+    return np.minimum(np.concatenate(down), 0.0), np.maximum(np.concatenate(up), 0.0)
+
+
+def step_from(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
+    """v + delta along the free directions, kept within the bounds where it is rounded."""
+    free, _ = directions(problem, groups)
+    moved = Variables(*(a + delta.astype(np.float32) @ b for a, b in zip(v, free, strict=True)))
+    low, high = problem.augmented.bounds
+    own = [i for g in groups if not g.gated for i in g.entries]
+    theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
+    phi = np.clip(moved.phi, *_ranges(problem))
+    return Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.gated)
+
+
+def prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np.ndarray:
+    """Where v stands from the prior's centre, along the free directions."""
+    parameters = problem.augmented.simulator.parameters
+    middle = np.array([(p.low + p.high) / 2 for p in parameters])
+    return np.concatenate(
+        [
+            (np.asarray(v.phi) - middle) / spans(problem),
+            np.asarray(v.gain) - 0.5,
+            np.asarray(v.cross),
+            np.zeros(len(groups)),
+        ]
+    )

@@ -1,0 +1,136 @@
+"""Innovations: measurements minus their one-step predictions [Ljung 1999, prediction-error methods].
+
+The state is measured with noise, so a regression on measured states is biased where nothing is missing. Here the
+estimate x of the state is carried by the simulator and corrected by each measurement y only as far as it deserves:
+
+    e_t = y_t - h(f(x_{t-1}, u_{t-1}))        x_t = f(x_{t-1}, u_{t-1}) + K e_t
+
+with a gain K, fitted together with everything else. As in a Kalman filter it has entries across outputs: a jolt of the
+base moves the hand as well, and a position informs about its velocity. With a diagonal gain, innovations would be
+predictable where nothing is missing. K is constant in the bodies' own frames.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.diagnosis.likelihood.segments import Chunks, bare
+from simgap.effects.augmented import Active, Augmented, Theta, advance, remember, sense, unsense
+from simgap.effects.effect import Memory, Row, Scales
+from simgap.layout import Layout, rotated, wrapped
+
+
+class Variables(NamedTuple):
+    """All that can be fitted: simulator parameters phi, the gain K's diagonal, its entries beside that
+    (`Layout.akin`), effects' constants, those where gated."""
+
+    phi: Float[np.ndarray, " p"]
+    gain: Float[np.ndarray, " s"]
+    cross: Float[np.ndarray, " c"]
+    theta: Float[np.ndarray, " P"]
+    gated: Float[np.ndarray, " P"]
+
+
+def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
+    """Differences of states, those of angles between -pi and pi."""
+    return wrapped(augmented.layout, jnp.asarray(difference))
+
+
+def gain_matrix(augmented: Augmented, v: Variables) -> Float[Array, "s s"]:
+    """K, in the bodies' own frames. Entries beside its diagonal are fitted in units of the time step, so that all are
+    of order one: what a millimetre tells of a velocity is a millimetre in a time step."""
+    layout = augmented.layout
+    rate = np.array([f.kind == "velocity" for f in layout.schema.state], float)
+    i, j = np.array(layout.akin, int).reshape(-1, 2).T
+    unit = augmented.simulator.time_step ** (rate[j] - rate[i])
+    return jnp.diag(v.gain).at[i, j].set(v.cross * unit)
+
+
+def corrected(
+    layout: Layout, K: Float[Array, "s s"], x: Float[Array, " s"], e: Float[Array, " s"]
+) -> Float[Array, " s"]:
+    """x + K e, with K in the bodies' own frames."""
+    return x + rotated(layout, K @ rotated(layout, e, x, -1.0), x, 1.0)
+
+
+_Rows = Float[Array, "T-1 s"]
+
+
+def _chunk(
+    augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, other: Theta | None = None
+) -> tuple[_Rows, _Rows]:
+    """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations.
+
+    With `other` constants, each innovation is what it would be, had that step alone been taken with these.
+    """
+    K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
+    at_start = v.theta + chunk.gate[0] * v.gated
+    first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
+    memory = remember(augmented, phi, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
+
+    def row(carry, now):
+        memory, x = carry
+        y_next, u, time_s, next_s, interval, gate = now
+
+        def step(theta: Theta) -> tuple[Memory, Float[Array, " s"], Float[Array, " s"]]:
+            here, theta = Row(time_s, interval), theta + gate * v.gated
+            after, foretold = advance(augmented, phi, theta, scales, memory, x, u, here, active)
+            seen = sense(augmented, theta, after, foretold, here._replace(time_s=next_s), active)
+            return after, foretold, wrap(augmented, y_next - seen)
+
+        after, foretold, e = step(v.theta)
+        told = e if other is None else step(other)[2]
+        return (after, corrected(augmented.layout, K, foretold, e)), (x, told)
+
+    times = (chunk.time_s[:-1], chunk.time_s[1:])
+    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1])
+    return jax.lax.scan(row, (memory, first), rows)[1]
+
+
+def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
+    return jnp.where(chunks.counts[..., None], e, 0.0)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """Innovations in the outputs' units, zero in rows that do not count."""
+    return _all(augmented, scales, v, augmented.active(v.theta, v.gated), chunks)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def estimates_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """The estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
+    active = augmented.active(v.theta, v.gated)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[0])(bare(chunks))
+
+
+@partial(jax.jit, static_argnames="augmented")
+def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+    """What each innovation would be, had its step alone been taken with other constants than those before it."""
+    active = augmented.active(v.theta, v.gated, theta)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
+
+
+@partial(jax.jit, static_argnames="augmented")
+def tangents(
+    augmented: Augmented,
+    scales: Scales,
+    v: Variables,
+    phi: Float[Array, "M p"],
+    gain: Float[Array, "M s"],
+    cross: Float[Array, "M c"],
+    chunks: Chunks,
+) -> Float[Array, "M C T-1 s"]:
+    """Derivatives of the innovations along M directions in phi and K."""
+    active = augmented.active(v.theta, v.gated)
+
+    def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 s"]:
+        at = lambda p, g, c: _all(augmented, scales, v._replace(phi=p, gain=g, cross=c), active, chunks)  # noqa: E731
+        return jax.jvp(at, (v.phi, v.gain, v.cross), direction)[1]
+
+    return jax.vmap(along)(phi, gain, cross)

@@ -1,0 +1,125 @@
+"""Recordings, the simulator to explain them, and the log-likelihood of its innovations at given constants.
+
+The innovations' outputs are correlated (a position integrates its velocity). A fixed matrix decorrelates them, so that
+log-likelihoods of outputs add up; each output then has a Student's t noise of its own.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.likelihood.filter import Variables, alone, innovations_of
+from simgap.diagnosis.likelihood.segments import Chunks, counted
+from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
+from simgap.effects.augmented import Augmented
+from simgap.effects.effect import Scales
+
+THREADS = 2
+"""Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
+
+
+class Problem(NamedTuple):
+    """Recordings and the simulator to explain them; `whiten` decorrelates the innovations' outputs.
+
+    ranges_hold: parameters stay in their declared ranges. Without, it is asked what other ranges would explain.
+    """
+
+    augmented: Augmented
+    scales: Scales
+    chunks: Chunks
+    whiten: Float[np.ndarray, "s s"]
+    ranges_hold: bool = True
+
+
+class Group(NamedTuple):
+    """One free constant: the entries of theta that share it, the size it is looked for at (its unit in fits and
+    derivatives), and whether it acts where gated only."""
+
+    entries: tuple[int, ...]
+    scale: float
+    gated: bool = False
+
+
+class Fit(NamedTuple):
+    """A model with its constants fitted; e: decorrelated innovations of the rows that count."""
+
+    v: Variables
+    groups: tuple[Group, ...]
+    e: Float[np.ndarray, "n s"]
+    noise: Noise
+    loglik: float
+
+
+def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: Noise | None = None) -> Fit:
+    """Innovations, noise (fitted unless given) and log-likelihood at v."""
+    e = trials(problem, [v])[0]
+    if not np.isfinite(e).all():
+        return Fit(v, groups, e, noise or Noise(np.ones(e.shape[1]), np.ones(e.shape[1])), -np.inf)
+    noise = noise or fit_noise(e)
+    return Fit(v, groups, e, noise, float(log_density(e, noise).sum()))
+
+
+def start(problem: Problem) -> Variables:
+    """Nominal parameters, equal trust in prediction and measurement, no effect."""
+    layout = problem.augmented.layout
+    sizes = (len(layout.schema.state), len(layout.akin), len(problem.augmented.slots))
+    gain, cross, zero = (np.zeros(n, np.float32) for n in sizes)
+    return Variables(problem.augmented.nominal, gain + 0.5, cross, zero, zero)
+
+
+def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
+    """W with W e uncorrelated and of unit scale, by the covariance of what is left when outliers are clipped.
+
+    Outputs that are always zero keep their scale. The identity where an innovation is not finite.
+    """
+    if not np.isfinite(e).all():
+        return np.eye(e.shape[1])
+    size = np.abs(e.astype(np.float64))
+    scale = np.zeros(e.shape[1]) if not len(e) else np.median(size, axis=0) * 1.4826
+    # Of an output that mostly stays exactly where it is, what it does elsewhere.
+    scale = np.where(scale > 0, scale, size.max(0, initial=0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    z = np.clip(e / scale, -3, 3)
+    z = z - z.sum(0) / max(len(z), 1)
+    covariance = z.T @ z / max(len(z) - 1, 1) + 1e-4 * np.eye(e.shape[1])
+    return np.linalg.inv(np.linalg.cholesky(covariance)) / scale
+
+
+def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
+    """Innovations in the outputs' own units, zero in rows that do not count."""
+    return np.asarray(innovations_of(problem.augmented, problem.scales, v, problem.chunks))
+
+
+def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:
+    """Decorrelated innovations of several values of the variables.
+
+    One by one: what a value's laws cost is paid for that value alone, and nothing is gained side by side.
+    """
+    return np.stack(side_by_side(lambda v: decorrelate(problem, raw_innovations(problem, v)), vs))
+
+
+def row_trials(problem: Problem, v: Variables, thetas: Sequence[Float[np.ndarray, " P"]]) -> Float[np.ndarray, "M n s"]:
+    """Decorrelated innovations of every row, had its step alone been taken with other constants of the effects."""
+    one = lambda theta: alone(problem.augmented, problem.scales, v, theta, problem.chunks)  # noqa: E731
+    return np.stack(side_by_side(lambda theta: decorrelate(problem, one(theta)), thetas))
+
+
+def decorrelate(problem: Problem, raw: Any) -> Float[np.ndarray, "... n s"]:
+    with np.errstate(over="ignore", invalid="ignore"):  # a trial may explode; it is then not taken
+        return counted(problem.chunks, raw) @ problem.whiten.T.astype(np.float32)
+
+
+def side_by_side(function: Callable, items: Iterable) -> list:
+    """The function of every item, in order, computed on `THREADS` threads."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(function, items))
+
+
+def replaced(values: Float[np.ndarray, " P"], entries: Sequence[int], by: Any) -> Float[np.ndarray, " P"]:
+    """A copy with some entries replaced."""
+    values = np.array(values, np.float32)
+    values[list(entries)] = by
+    return values

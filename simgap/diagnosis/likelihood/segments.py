@@ -1,0 +1,125 @@
+"""Sessions cut into segments that run side by side, and which of their rows count.
+
+Each segment begins with a few rows of run-in, in which the estimate forgets its start and which do not count.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from simgap.effects.effect import HISTORY_ROWS
+from simgap.types import Recording
+
+LENGTH = 40
+"""Rows of a chunk that count."""
+RUN_IN = 10
+"""Rows before them, in which the estimate forgets its start."""
+WARM = 30
+"""Rows of past commands that run through the command path before a chunk, so that lags are where they were."""
+TURNS = 12
+"""Turning points of each command before those rows, so that play is where it was; a real Spot has no more."""
+PAD = 16
+"""The number of chunks is a multiple of this, so that recording sets of like size share what is compiled."""
+
+
+class Chunks(NamedTuple):
+    """Sessions cut into C chunks of T = RUN_IN + LENGTH + 1 rows.
+
+    past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: where gated constants
+    act, 0 or 1. session: index into the recordings; row: of the chunk's first row in its session.
+    """
+
+    state: Float[Array, "C T s"]
+    command: Float[Array, "C T u"]
+    past: Float[Array, "C h u"]
+    turns: Float[Array, "C m u"]
+    time_s: Float[Array, "C T"]
+    interval: Float[Array, "C T"]
+    counts: Bool[Array, "C T-1"]
+    gate: Float[Array, "C T"]
+    session: Int[np.ndarray, " C"]
+    row: Int[np.ndarray, " C"]
+
+
+def sent_before(
+    command: Float[np.ndarray, "T u"], row: int
+) -> tuple[Float[np.ndarray, "h u"], Float[np.ndarray, "m u"]]:
+    """What was sent before a row of a session: the last HISTORY_ROWS + WARM commands, the latest first; and where each
+    command turned before the last WARM of them. Before the session, its first command was sent all along."""
+    past = command[np.maximum(row - 1 - np.arange(HISTORY_ROWS + WARM), 0)]
+    return past, np.reshape([_turns(u) for u in command[: max(row - WARM, 1)].T], (-1, TURNS)).T
+
+
+def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
+    """The last value, and the highs and lows before it that no later one exceeds, the latest first.
+
+    They alone decide where play stands, whatever its gap and however long the command has rested since: a swing pushes
+    it, and a wider one undoes what narrower ones before it did. Where there are too many the widest are left out. The
+    oldest is zero: before its session a robot stood still, with the play in the middle of its gap.
+    """
+    back = u[::-1]
+    side = np.sign(np.diff(np.maximum.accumulate(back))) + np.sign(np.diff(np.minimum.accumulate(back)))
+    (exceeding,) = side.nonzero()  # one row further back a new high (1) or low (-1) is reached
+    widest = exceeding[np.diff(side[exceeding], append=0) != 0] + 1
+    found = np.concatenate([back[:1], back[widest]])[: TURNS - 1]
+    return np.concatenate([found, np.zeros(TURNS - len(found))])
+
+
+def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
+    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count.
+
+    There are at least `least`: sets of the same number of chunks share what is compiled.
+    """
+    rows = RUN_IN + LENGTH + 1
+    parts: list[tuple] = []
+    for s, r in enumerate(recordings):
+        steps = len(r.time_s) - 1
+        interval = np.append(np.diff(r.time_s) / time_step, 1.0)
+        for first in range(0, max(steps, 1), LENGTH):
+            start = max(first - RUN_IN, 0)
+            index = np.minimum(np.arange(start, start + rows), steps)
+            successor = np.arange(start + 1, start + rows)
+            # At a session's start a few rows are let in: the estimate begins at a measured state.
+            counted = (successor > max(first, 2)) & (successor <= min(first + LENGTH, steps))
+            parts.append((r.state[index], r.command[index], *sent_before(r.command, start),
+                          r.time_s[index] - r.time_s[0], interval[index], counted, np.ones(rows), s,
+                          start))  # fmt: skip
+    while len(parts) % PAD or len(parts) < least:
+        *arrays, counted, gate, s, start = parts[0]
+        parts.append((*arrays, np.zeros_like(counted), gate, s, start))
+    return as_chunks(parts)
+
+
+def as_chunks(parts: Sequence[tuple]) -> Chunks:
+    """Chunks from their fields, one tuple a chunk."""
+    *arrays, session, row = (np.stack(a) for a in zip(*parts, strict=True))
+    as_float = [jnp.asarray(a if a.dtype == bool else np.asarray(a, np.float32)) for a in arrays]
+    return Chunks(*as_float, session=session, row=row)
+
+
+def bare(chunks: Chunks) -> Chunks:
+    """Chunks without where they come from, which is no array of JAX's, for `vmap` over chunks."""
+    nothing = jnp.zeros(len(chunks.state))
+    return chunks._replace(session=nothing, row=nothing)
+
+
+def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
+    """The rows that count, in order: [..., n, s]."""
+    return np.asarray(e)[..., np.asarray(chunks.counts), :]
+
+
+class Rows(NamedTuple):
+    """Session and time [s] of every row that counts, in order."""
+
+    session: np.ndarray
+    time_s: np.ndarray
+
+
+def rows_of(chunks: Chunks) -> Rows:
+    """Session and time of the rows that count."""
+    counts = np.asarray(chunks.counts)
+    session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
+    return Rows(session, np.asarray(chunks.time_s)[:, :-1][counts])

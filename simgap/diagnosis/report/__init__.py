@@ -1,0 +1,1 @@
+"""The statement, its words, and the numbers behind its figures."""

@@ -1,0 +1,121 @@
+"""Parts of the statement that need no verdict: parameters, alternatives, rounds, notes."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.config import CREDIBLE, POWER
+from simgap.diagnosis.inference import posterior
+from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.report import wording
+from simgap.diagnosis.validation import scores
+from simgap.diagnosis.validation.sensitivity import Sensitivity
+from simgap.types import Recording
+
+
+class Sessions(NamedTuple):
+    """Recordings by what they served."""
+
+    training: Sequence[Recording]
+    heldout: Sequence[Recording]
+    baseline: Sequence[Recording]
+
+    @property
+    def fitted(self) -> list[Recording]:
+        """In the order in which the chunks number them."""
+        return [*self.baseline, *self.training]
+
+
+def credible_set(odds: Mapping[str, float]) -> list[str]:
+    """The likeliest ids that hold `CREDIBLE` of the probability together."""
+    cumulative, credible = 0.0, []
+    for effect, p in odds.items():
+        credible.append(effect)
+        cumulative += p
+        if cumulative >= CREDIBLE:
+            break
+    return credible
+
+
+def alternatives_of(found: Explanation) -> list[dict[str, Any]]:
+    """Other sets: one effect replaced by what could stand in its place."""
+    odds = [(m.candidate.effect.id, m.odds) for m in found.members] + [(s.id, s.odds) for s in found.scattered]
+    ids = [effect for effect, _ in odds]
+    return [
+        {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}
+        for i, (own, each) in enumerate(odds)
+        for other, p in each.items()
+        if other != own and p > 0.001
+    ]
+
+
+def parameters_of(found: Explanation) -> dict[str, Any]:
+    simulator = found.problem.augmented.simulator
+    names = [p.name for p in simulator.parameters]
+    low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).reshape(-1, 2).T
+    phi, width = np.asarray(found.fit.v.phi, float), posterior.Z95 * found.sd.phi
+    ends = (phi - width, phi + width)
+    before, after, *ends = (np.clip(a, low, high).tolist() for a in (np.asarray(found.as_is.v.phi, float), phi, *ends))
+    return {
+        "before": dict(zip(names, before, strict=True)), "after": dict(zip(names, after, strict=True)),
+        "ci95": {n: list(between) for n, *between in zip(names, *ends, strict=True)},
+        "at_bound": list(posterior.at_bound(found.problem, found.fit)),
+        "undetermined": [n for n, seen in zip(names, found.sd.seen, strict=True) if not seen],
+        "units": {p.name: p.unit for p in simulator.parameters},
+        "ranges": {p.name: [p.low, p.high] for p in simulator.parameters},
+    }  # fmt: skip
+
+
+def beyond_of(loose: Explanation | None) -> dict[str, float]:
+    """Parameters that would leave their ranges, with the values they would take, where nothing else is missing then."""
+    if loose is None or loose.anything:
+        return {}
+    values = zip(loose.problem.augmented.simulator.parameters, map(float, loose.fit.v.phi), strict=True)
+    return {p.name: value for p, value in values if not p.low <= value <= p.high}
+
+
+def sensitivity_of(seen: Sensitivity) -> dict[str, Any]:
+    """What could have been found, and what not."""
+    return {
+        "needed_nats": seen.needed, "chance": POWER, "segments": seen.segments, "least_segments": seen.least_segments,
+        "least_rows": seen.least_rows, "hidden_effects": seen.hidden_effects, "hidden_channels": seen.hidden_channels,
+        "effects": [{"effect": v.effect, "where": v.where, "constant": v.constant, "size": v.size, "unit": v.unit}
+                    for v in seen.visible],
+    }  # fmt: skip
+
+
+def rounds_of(found: Explanation) -> list[dict[str, Any]]:
+    return [
+        {
+            "threshold_nats": r.screening.threshold / 2, "p_value": r.screening.p_value, "accepted": r.accepted,
+            "candidates": [
+                {"effect": t.candidate.effect.key, "where": t.candidate.where, "gain_nats": t.gain} for t in r.tried
+            ] or [
+                {"effect": s.candidate.effect.key, "where": s.candidate.where, "gain_nats": s.gain}
+                for s in r.screening.found[:5]
+            ],
+        }
+        for r in found.rounds
+    ]  # fmt: skip
+
+
+def untested_of(found: Explanation) -> list[str]:
+    """Hypotheses that no round could test: the simulator leaves the finite numbers with them."""
+    return list(found.rounds[0].screening.untested)
+
+
+def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
+    notes = [] if found.problem.augmented.layout.schema.command else [wording.NO_COMMANDS]
+    notes += posterior.at_bound(found.problem, found.fit).values()
+    notes += [
+        f"{p.name} is not determined: the recordings do not depend on it, or its derivative is not finite."
+        for p, seen in zip(found.problem.augmented.simulator.parameters, found.sd.seen, strict=True)
+        if not seen
+    ]
+    if untested := untested_of(found):
+        notes.append(f"Could not test {', '.join(untested)}: the simulator leaves the finite numbers there.")
+    if len(sessions.heldout) < scores.LEAST_SESSIONS:
+        few = "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
+        notes.append(few)
+    return notes

@@ -1,0 +1,152 @@
+"""Numbers behind the pictures: an effect's law over the data it explains, its likelihood, and forecasts."""
+
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.hypotheses.space import Candidate, unit_of
+from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.likelihood.problem import Fit, Problem, raw_innovations, trials
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, counted
+from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.diagnosis.report.experiment import Experiment
+from simgap.diagnosis.report.localisation import Excess
+from simgap.diagnosis.validation.forecast import windows
+from simgap.diagnosis.validation.scores import Contestant, forecasts
+from simgap.layout import rotated
+from simgap.types import Recording
+
+BINS = 16
+PROFILE = 25
+SHOWN_S = 12.0
+"""Length of the rollouts that are drawn [s]."""
+
+
+def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
+    """Pictures of one effect: what it explains, against what the robot does; and how sharply its constant is told."""
+    shown = {"effect": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where}
+    return [shown | p for p in (*_explained(problem, fit, candidate, found), *_profile(problem, fit, candidate))]
+
+
+def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
+    """Change of the output most concerned that the effect brings (line), and with what is left over of it (dots)."""
+    without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
+    layout, state = problem.augmented.layout, counted(problem.chunks, np.asarray(problem.chunks.state)[:, :-1])
+    # In the bodies' own frames, as commands are: in the world's what they do depends on where the robot looks.
+    own = jax.vmap(lambda e, s: rotated(layout, e, s, -1.0))
+    raw = [np.asarray(own(counted(problem.chunks, raw_innovations(problem, v)), state)) for v in (without, fit.v)]
+    law = raw[0] - raw[1]
+    noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
+    output = int(np.argmax((law**2).mean(0) / noise**2))
+    field = layout.schema.state[output]
+    unit = jnp.eye(len(law[0]))[output]
+    frame = ", in its own frame" if (rotated(layout, unit, jnp.ones_like(unit), 1.0) != unit).any() else ""
+    features, names, units = _features(problem, found)
+    best = max(range(len(names)), key=lambda k: _told_by(features[:, k], law[:, output]))
+    x, y, left = features[:, best], law[:, output], raw[1][:, output]
+    members = binned(x)
+    if len(members) < 3:
+        return []
+    centre, line = [float(x[m].mean()) for m in members], [float(y[m].mean()) for m in members]
+    return [{
+        "title": f"What it explains of {field.name}{frame}",
+        "x_label": f"{names[best]} [{units[best]}]",
+        "y_label": f"missed by the simulator [{field.unit}]",
+        "x": centre, "y": [at + float(np.median(left[m])) for at, m in zip(line, members, strict=True)],
+        "y_err": [_error_of_median(left[m]) for m in members],
+        "line_x": centre, "line_y": line,
+        "caption": "Line: what the law says there. Dots: with the median of what it leaves over (95 % interval).",
+    }]  # fmt: skip
+
+
+def _features(problem: Problem, found: Excess) -> tuple[np.ndarray, list[str], list[str]]:
+    """What regimes are told by, and how much each command has changed: late and slow ones show in that."""
+    fields, sent = problem.augmented.simulator.schema.command, np.asarray(problem.chunks.command)
+    columns, names, units = [found.features], list(found.names), list(found.units)
+    for rows, said in ((1, "a row"), (2, "two rows")):
+        change = sent - np.concatenate([np.repeat(sent[:, :1], rows, axis=1), sent[:, :-rows]], axis=1)
+        columns.append(counted(problem.chunks, change[:, :-1]))
+        names += [f"change of {f.name} in {said}" for f in fields]
+        units += [f.unit for f in fields]
+    return np.hstack(columns), names, units
+
+
+def binned(x: Float[np.ndarray, " n"]) -> list[np.ndarray]:
+    """Rows of equally many values each, in order; of those bins that have some."""
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+    members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in pairwise(edges)]
+    return [m for m in members if len(m) > 5]
+
+
+def _error_of_median(y: np.ndarray) -> float:
+    """Half of its 95 % interval. Odd rows, which hardly count in the fit, would decide a mean and its interval."""
+    spread = 1.4826 * np.median(np.abs(y - np.median(y)))
+    return float(1.96 * np.sqrt(np.pi / 2) * spread / np.sqrt(len(y)))
+
+
+def _told_by(x: np.ndarray, y: np.ndarray) -> float:
+    """How much of y's mean changes with x."""
+    edges = np.quantile(x, np.linspace(0, 1, BINS + 1))
+    index = np.clip(np.searchsorted(edges, x) - 1, 0, BINS - 1)
+    count = np.bincount(index, minlength=BINS)
+    mean = np.bincount(index, y, minlength=BINS) / np.maximum(count, 1)
+    return float((count * mean**2).sum())
+
+
+def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
+    """Log-likelihood along the effect's first constant, all else held."""
+    group, constant = candidate.groups[0], candidate.effect.constants[0]
+    c = [float((fit.v.gated if g.gated else fit.v.theta)[g.entries[0]]) for g in candidate.groups]
+    low, high = (float(b[group.entries[0]]) for b in problem.augmented.bounds)
+    span = np.linspace(max(0.4 * c[0], low) if c[0] > 0 else max(1.6 * c[0], low),
+                       min(1.6 * c[0], high) if c[0] > 0 else min(0.4 * c[0], high), PROFILE)  # fmt: skip
+    e = trials(problem, [vary(fit.v, candidate, [x, *c[1:]]) for x in span])
+    loglik = np.array([log_density(one, fit.noise).sum() for one in e])
+    x = [float(constant.physical(float(v), candidate.sites[0], problem.scales)) for v in span]
+    unit = unit_of(problem.augmented, candidate, constant)
+    keep = np.isfinite(loglik) & np.isfinite(x)
+    order = np.argsort(np.array(x)[keep])
+    return [{
+        "title": f"How sharply the {constant.name} is told",
+        "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood less its best [nats]",
+        "x": [], "y": [], "y_err": [],
+        "line_x": np.array(x)[keep][order].tolist(), "line_y": (loglik - loglik.max())[keep][order].tolist(),
+        "caption": "All other constants held at their best.",
+    }]  # fmt: skip
+
+
+def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Contestant]) -> list[dict]:
+    """Forecasts of a stretch of one recording that no model saw, every output, by every model."""
+    steps = min(int(SHOWN_S / problem.scales.time_step), len(recording.time_s) - RUN_IN - 2)
+    pieces = windows([recording], problem.scales.time_step, steps, 1) if steps > 1 else None
+    if pieces is None:
+        return []
+    busiest = int(np.argmax(_activity(recording, pieces, steps)))
+    one = jax.tree.map(lambda a: a[busiest : busiest + 1], pieces)
+    predicted = {name: forecasts(problem, c, one)[0] for name, c in contestants.items()}
+    time = np.asarray(one.time_s)[0, RUN_IN + 1 :]
+    measured = np.asarray(one.state)[0, RUN_IN + 1 :]
+    return [
+        {"session": recording.name, "output": f.name, "unit": f.unit, "time_s": time, "measured": measured[:, i],
+         **{name: p[:, i] for name, p in predicted.items()}}
+        for i, f in enumerate(problem.augmented.simulator.schema.state)
+    ]  # fmt: skip
+
+
+def _activity(recording: Recording, pieces: Chunks, steps: int) -> list[float]:
+    """How much is commanded in each piece."""
+    size = np.abs(recording.command / np.maximum(np.abs(recording.command).max(0), 1e-9)).sum(1)
+    return [float(size[r + RUN_IN : r + RUN_IN + steps].sum()) for r in pieces.row]
+
+
+def commands(problem: Problem, experiment: Experiment) -> dict:
+    """An experiment's commands by channel, with their units."""
+    fields = problem.augmented.simulator.schema.command
+    return {
+        "time_s": experiment.time_s,
+        "channels": {f.name: experiment.commands[:, i] for i, f in enumerate(fields)},
+        "units": {f.name: f.unit for f in fields},
+    }

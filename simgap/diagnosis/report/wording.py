@@ -1,0 +1,238 @@
+"""A diagnosis in an engineer's words."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.report.experiment import Experiment
+from simgap.effects import CATALOGUE
+
+LISTED = 6
+"""Names that a sentence lists at most."""
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    return f"{value:.3g}"
+
+
+def quantity(constant: dict[str, Any]) -> str:
+    """Value and unit."""
+    unit = "" if constant["unit"] == "-" else f" {constant['unit']}"
+    return f"{number(constant['value'])}{unit}"
+
+
+def effect(candidate: Candidate, constants: list[dict[str, Any]]) -> str:
+    """One effect: its law with its constants, and where it acts."""
+    said = candidate.effect.says.format(**{c["name"]: quantity(c) for c in constants})
+    # Along one axis of a body that turns it shows in two outputs.
+    shown = (candidate.where,) if candidate.where in candidate.outputs else candidate.outputs
+    where = ", ".join(candidate.channels or shown) or candidate.where
+    return f"{said[0].upper()}{said[1:]} ({where})."
+
+
+def during(when: When | None, session: str | None, regime: str | None) -> str:
+    """When an effect acts, if not throughout."""
+    if when is None:
+        return ""
+    if regime is not None:
+        return f" It acts where {regime} only."
+    if session is None:
+        return f" It acts from {when.from_s:.1f} s on in every session."
+    return f" It acts from {when.from_s:.1f} s to {when.to_s:.1f} s of session {session} only."
+
+
+NO_COMMANDS = "The machine takes no commands, so no experiment can be proposed."
+
+
+def experiment(designed: Experiment, ids: Sequence[str]) -> str:
+    """What to command, and what for."""
+    return (
+        f"To tell {ids[0]} from {ids[1]}, start at rest and command {designed.words}; "
+        f"the two differ there by {designed.nats:,.0f} nats in {designed.time_s[-1]:.0f} s."
+    )
+
+
+def law(term: dict[str, Any]) -> str:
+    """A term of a law without a name."""
+    return f"{term['axis']} is pushed, depending on {' and '.join(term['depends_on'])}"
+
+
+def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
+    """Why the recordings cannot show whether something is missing, and what would help."""
+    seen, reasons = told["sensitivity"], []
+
+    def add(reason: str, remedy: str) -> None:
+        reasons.append({"reason": reason, "remedy": remedy})
+
+    if seen["segments"] < seen["least_segments"]:
+        add(
+            f"the fitted recordings are {seen['segments']} independent segments; chance can be judged from "
+            f"{seen['least_segments']} on",
+            f"Record at least {seen['least_rows']} rows in the sessions that are fitted",
+        )
+    if not told["fit"]["models"]:
+        add(
+            "the held-out sessions are too short to judge a forecast by",
+            f"Record held-out sessions of at least {told['fit']['least_rows']} rows",
+        )
+    if beyond := told["parameters"]["beyond"]:
+        low, high = ({name: ends[k] for name, ends in told["parameters"]["ranges"].items()} for k in (0, 1))
+        values = [f"{n} = {number(v)} (range {number(low[n])} to {number(high[n])})" for n, v in beyond.items()]
+        add(
+            f"parameters outside their declared ranges would explain the recordings: {listed(values)}",
+            "Widen the ranges if these values are plausible; if they are not, physics is missing",
+        )
+    if channels := seen["hidden_channels"]:
+        add(
+            f"no effect of a usual size on {listed(channels)} would have been found",
+            f"Record steps and reversals of {listed(channels)} over the usual range",
+        )
+    if hidden := seen["hidden_effects"]:
+        where = dict.fromkeys(v["where"] for v in seen["effects"] if v["effect"] in hidden)
+        add(
+            f"{listed([title(e) for e in hidden])} of a usual size would not have been found anywhere",
+            f"Record longer sessions with more motion of {listed(list(where))}",
+        )
+    return reasons
+
+
+def warnings(told: dict[str, Any]) -> list[str]:
+    """What a reader must know before any number on the page."""
+    models, lines = told["fit"]["models"], []
+    of = {"as_is": "the simulator as it is", "refitted": "the refitted simulator",
+          "augmented": "the simulator with the effects"}  # fmt: skip
+    for worse in told["fit"]["worse"]:
+        for steps in worse["at"]:
+            before, after = (models[m][f"error_{steps}"]["value"] for m in (worse["than"], worse["model"]))
+            lines.append(
+                f"On held-out sessions {of[worse['model']]} is worse than {of[worse['than']]} after "
+                f"{_steps(steps)}: {_of_motion(after)} against {_of_motion(before)} of the motion."
+            )
+    return lines
+
+
+def statement(told: dict[str, Any]) -> str:
+    """The diagnosis in a few sentences."""
+    lines = _VERDICTS[told["verdict"]](told)
+    if told["resembles"]:
+        lines += " Closest match, which explains only part of the mismatch: " + _statements(told["resembles"])
+    if told["verdict"] == "missing_physics":
+        lines += _improvement(told["fit"]["models"])
+    return lines
+
+
+def _nothing(told: dict[str, Any]) -> str:
+    return "Nothing is missing: the simulator and the recordings differ by noise." + _would_show(told)
+
+
+def _parameters_only(told: dict[str, Any]) -> str:
+    return "No physics is missing; the simulator's parameters were off and are refitted." + _would_show(told)
+
+
+def _inconclusive(told: dict[str, Any]) -> str:
+    reasons = "; ".join(r["reason"] for r in told["insufficient"])
+    remedies = ". ".join(r["remedy"] for r in told["insufficient"])
+    moved = " Other parameters fit the held-out sessions better." if told["parameters"]["moved"] else ""
+    return f"Cannot say whether physics is missing: {reasons}. {remedies}.{moved}"
+
+
+def _unexplained(told: dict[str, Any]) -> str:
+    where = ", ".join(o["name"] for o in told["located"]["outputs"][:3])
+    depends = ", ".join(d["input"] for d in told["located"]["depends_on"][:3])
+    better_at = told["fit"]["black_box_better_at"]
+    return (
+        "Something is missing that the vocabulary does not explain."
+        + (f" It shows in {where}." if where else "")
+        + (f" It depends most on {depends}." if depends else "")
+        + (f" On held-out sessions a black box predicts better after {listed([_steps(h) for h in better_at])}."
+           if better_at else "")
+    )  # fmt: skip
+
+
+def _missing_physics(told: dict[str, Any]) -> str:
+    lines = f"The simulator leaves out: {_statements(told['effects'])}"
+    more = []
+    if told["left_over"]["outputs"]:
+        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]]
+        more.append(f"{listed(shares)} can be predicted from the rows before")
+    more += [law(term) for term in told["law"]]
+    if told["something_else"] or more:
+        lines += " Something else is missing as well" + (f": {'; '.join(more)}." if more else ".")
+    acts_in = [e["regime"] for e in told["effects"]]
+    elsewhere = [r for r in told["located"]["regimes"] if r["when"] not in acts_in]
+    if elsewhere:
+        rule = elsewhere[0]
+        lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."
+    return lines
+
+
+_VERDICTS = {
+    "nothing": _nothing,
+    "parameters_only": _parameters_only,
+    "inconclusive": _inconclusive,
+    "unexplained": _unexplained,
+    "missing_physics": _missing_physics,
+}
+
+
+def _statements(effects: Sequence[dict[str, Any]]) -> str:
+    return " ".join(e["statement"] for e in effects)
+
+
+def _would_show(told: dict[str, Any]) -> str:
+    """What would have been found, and at what size: the first effect of every place where laws act."""
+    seen, place_of = told["sensitivity"], {e.id: e.place for e in CATALOGUE}
+    first: dict[str, dict[str, Any]] = {}
+    for v in seen["effects"]:
+        if v["size"] is not None:
+            first.setdefault(place_of[v["effect"]], v)
+    sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
+    return f" Found with a chance of {seen['chance']:.0%} would have been, for example: {'; '.join(sizes)}."
+
+
+def sized(visible: dict[str, Any]) -> str:
+    """The smallest size of an effect that would have been found, with its unit."""
+    return quantity({"value": visible["size"], "unit": visible["unit"]})
+
+
+def _improvement(models: dict[str, Any]) -> str:
+    """Against the better of the simulator as it is and refitted, at the longest horizon."""
+    if "augmented" not in models:
+        return ""
+    longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
+    names = {"as_is": "as it is", "refitted": "refitted"}
+    better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
+    before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
+    gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]
+    return (
+        f" On held-out sessions the error after {_steps(_horizon(longest))} goes from {before:.1%} (the simulator "
+        f"{names[better[longest]]}) to {after:.1%} of the motion; the one-step log-likelihood changes by "
+        f"{gained:+.2f} nats a row against the simulator {names[better['nll_1']]}."
+    )
+
+
+def _of_motion(error: float) -> str:
+    return f"{error:.1%}" if math.isfinite(error) else "more than can be computed"
+
+
+def _horizon(score: str) -> int:
+    return int(score.split("_")[1])
+
+
+def _steps(n: int) -> str:
+    return "one step" if n == 1 else f"{n} steps"
+
+
+def title(effect: str) -> str:
+    """An effect's name: its id with spaces."""
+    return effect.replace("_", " ")
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`; of many the first, `a, b, c and 4 more`."""
+    if len(names) > LISTED:
+        names = [*names[: LISTED - 1], f"{len(names) - LISTED + 1} more"]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,0 +1,1 @@
+"""What held-out sessions say, and the verdict."""

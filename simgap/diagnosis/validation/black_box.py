@@ -1,0 +1,147 @@
+"""A black box on top of the refitted simulator: what anything could remove that depends on state and commands.
+
+Ridge regression of the innovations on random Fourier features [Rahimi & Recht 2007] of the bodies' own motion and the
+last commands, in each body's own frame. It names nothing; it measures how much there is to be named, and bears
+witness where the vocabulary has no word.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from simgap.diagnosis.hypotheses.features import seen, seen_names
+from simgap.diagnosis.likelihood.filter import Variables, estimates_of
+from simgap.diagnosis.likelihood.problem import Problem, raw_innovations
+from simgap.diagnosis.likelihood.segments import counted
+from simgap.layout import Layout, rotated
+
+COMMANDS = 4
+"""Rows of commands it sees: the present one and those before."""
+FEATURES = 300
+RIDGES = (1e-1, 1e0, 1e1, 1e2, 1e3)
+WIDTHS = (4.0, 10.0)
+"""Widths of the kernel, in standard deviations of the inputs."""
+FOLDS = 4
+
+
+class BlackBox(NamedTuple):
+    """Weights of the regression, with the standardisation of its inputs."""
+
+    mean: Float[Array, " d"]
+    std: Float[Array, " d"]
+    omega: Float[Array, "d f"]
+    phase: Float[Array, " f"]
+    weights: Float[Array, "k s"]
+
+
+def silent(layout: Layout) -> BlackBox:
+    """A box that adds nothing."""
+    d, s = len(input_names(layout)), len(layout.schema.state)
+    return BlackBox(
+        jnp.zeros(d), jnp.ones(d), jnp.zeros((d, FEATURES)), jnp.zeros(FEATURES), jnp.zeros((1 + d + FEATURES, s))
+    )
+
+
+def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
+    """What the black box sees."""
+    return jnp.concatenate([seen(layout, state, commands[0]), commands[1:COMMANDS].ravel()])
+
+
+def input_names(layout: Layout) -> list[str]:
+    """What each input of the black box is called."""
+    before = [f"{f.name} {k} rows before" for k in range(1, COMMANDS) for f in layout.schema.command]
+    return [*seen_names(layout), *before]
+
+
+def _features(box: BlackBox, z: Float[Array, " d"]) -> Float[Array, " k"]:
+    z = jnp.clip((z - box.mean) / box.std, -5, 5)
+    wave = jnp.cos(z @ box.omega + box.phase) * np.sqrt(2 / FEATURES)
+    return jnp.concatenate([jnp.ones(1), z / 3, wave])
+
+
+def correct(
+    layout: Layout, box: BlackBox, state: Float[Array, " s"], commands: Float[Array, "k u"]
+) -> Float[Array, " s"]:
+    """What the box adds to the next state."""
+    return rotated(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state, 1.0)
+
+
+def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n k u"]]:
+    """What the box sees in the rows that count: the state that each step begins with, and the last commands.
+
+    The state is the filter's estimate, as in forecasts: what is measured holds noise, which foretells the next
+    innovation as well, and none after it.
+    """
+    chunks, counts = problem.chunks, np.asarray(problem.chunks.counts)
+    x = np.asarray(estimates_of(problem.augmented, problem.scales, v, chunks))
+    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1][:, -COMMANDS:], np.asarray(chunks.command)[:, :-1]], axis=1)
+    last = np.stack([sent[:, COMMANDS - k : sent.shape[1] - k] for k in range(COMMANDS)], axis=2)
+    return x[counts], last[counts]
+
+
+@partial(jax.jit, static_argnames="layout")
+def _by_row(layout: Layout, x: Array, sent: Array, e: Array) -> tuple[Float[Array, "n d"], Float[Array, "n s"]]:
+    own = jax.vmap(lambda e, s: rotated(layout, e, s, -1.0))(e, x)
+    return jax.vmap(lambda s, u: inputs(layout, s, u))(x, sent), own
+
+
+def _design(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
+    e = counted(problem.chunks, raw_innovations(problem, v))
+    z, target = _by_row(problem.augmented.layout, *_seen(problem, v), e)
+    return np.asarray(z), np.asarray(target)
+
+
+def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
+    """Ridge and kernel width by cross-validation over runs of chunks; innovations are clipped to 4 sd."""
+    z, target = _design(problem, v)
+    scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
+    target = np.clip(target / scale, -4, 4)
+    counts = np.asarray(problem.chunks.counts)
+    fold = np.repeat(np.arange(len(counts)) * FOLDS // len(counts), counts.sum(1))
+    std = z.std(0)
+    best: tuple[float, BlackBox | None, float] = (np.inf, None, RIDGES[-1])
+    for width in WIDTHS:
+        box = BlackBox(
+            jnp.asarray(z.mean(0)), jnp.asarray(np.where(std > 1e-6, std, 1.0)),
+            jnp.asarray(rng.normal(size=(z.shape[1], FEATURES)) / width, jnp.float32),
+            jnp.asarray(rng.uniform(0, 2 * np.pi, FEATURES), jnp.float32), jnp.zeros((0, 0)),
+        )  # fmt: skip
+        features = np.asarray(jax.vmap(lambda r, box=box: _features(box, r))(jnp.asarray(z)), np.float64)
+        errors = _cross_validated(features, target, fold)
+        ridge = min(errors, key=lambda r: errors[r])
+        if errors[ridge] < best[0]:
+            weights = _solve(features.T @ features, features.T @ target, ridge) * scale
+            best = (errors[ridge], box._replace(weights=jnp.asarray(weights, jnp.float32)), ridge)
+    assert best[1] is not None  # an error is always finite
+    return best[1]
+
+
+def _solve(gram: np.ndarray, moment: np.ndarray, ridge: float) -> np.ndarray:
+    return np.linalg.solve(gram + ridge * np.eye(len(gram)), moment)
+
+
+def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndarray, " n"]) -> dict[float, float]:
+    """Squared error on the folds left out, per ridge."""
+    parts = [(features[fold == k], target[fold == k]) for k in np.unique(fold)]
+    grams, moments = [f.T @ f for f, _ in parts], [f.T @ t for f, t in parts]
+    gram, moment = sum(grams), sum(moments)
+    return {
+        ridge: sum(
+            float(((t - f @ _solve(gram - g, moment - m, ridge)) ** 2).sum())
+            for (f, t), g, m in zip(parts, grams, moments, strict=True)
+        )
+        for ridge in RIDGES
+    }
+
+
+def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray, "C t s"]:
+    """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
+    counts, layout = np.asarray(problem.chunks.counts), problem.augmented.layout
+    said = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
+    said[counts] = jax.vmap(lambda s, u: correct(layout, box, s, u))(*map(jnp.asarray, _seen(problem, v)))
+    return said
