@@ -552,8 +552,8 @@ def acting_arrays(acting: Acting) -> dict[str, np.ndarray]:
 
 def pop_acting(arrays: dict[str, np.ndarray]) -> Acting:
     """The constants among `arrays`, which are taken out; KeyError if one is missing."""
-    theta, within, (feature, side, edge) = (arrays.pop(name) for name in Acting._fields)
-    return Acting(theta, within, Regime(int(feature), float(side), float(edge)))
+    theta, delta, regimes = (arrays.pop(name) for name in Acting._fields)
+    return Acting(theta, delta, tuple(Regime(int(f), float(side), float(edge)) for f, side, edge in regimes))
 
 
 def scale_arrays(scales: Scales) -> dict[str, np.ndarray]:

@@ -6,6 +6,8 @@ LEAST_SHARE = 0.03
 """A further effect must gain this share of what those before it gained in the same outputs: less may be no more than
 the difference between their laws and the robot's."""
 MOST_EFFECTS = 4
+MOST_SUPPORTS = 3
+"""Regimes, times or stretches in which effects may act at the same time."""
 MOST_SITES = 6
 """An effect that acts at several sites with several constants takes a step for each."""
 RIVAL = 0.03

@@ -1,13 +1,14 @@
 """The whole diagnosis: is anything missing, where, what, how much, does it help, and what now."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import candidates
-from simgap.diagnosis.hypotheses.support import gate
+from simgap.diagnosis.hypotheses.support import opened
 from simgap.diagnosis.inference.explain import Explanation, explain
 from simgap.diagnosis.inference.heldout import seen_at
 from simgap.diagnosis.inference.model import Say
@@ -30,8 +31,8 @@ class AugmentedModel(NamedTuple):
 
     phi: Float[np.ndarray, " p"]
     theta: Float[np.ndarray, " P"]
-    within: Float[np.ndarray, " P"]
-    regime: Regime
+    delta: Float[np.ndarray, "S P"]
+    regimes: tuple[Regime, ...]
     gain: Float[np.ndarray, "s s"]
     noise_scale: Float[np.ndarray, " s"]
     noise_dof: Float[np.ndarray, " s"]
@@ -110,10 +111,11 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
     box = black_box.train(problem, found.base.v, rng)
     # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
     as_is = found.as_is.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
-    models = {"as_is": Contestant(as_is), "refitted": Contestant(found.base.v)}
+    contestant = partial(Contestant, regimes=found.regimes)
+    models = {"as_is": contestant(as_is), "refitted": contestant(found.base.v)}
     if found.members:
-        models["augmented"] = Contestant(found.fit.v, regime=found.regime)
-    return {**models, "black_box": Contestant(found.base.v, box)}
+        models["augmented"] = contestant(found.fit.v)
+    return {**models, "black_box": contestant(found.base.v, box)}
 
 
 def _judged(
@@ -128,10 +130,10 @@ def _judged(
     if fitted is None or unseen is None:
         return Judgement({}, {}, ())
     # In which regime a forecast is, it says itself.
-    layout, when = found.problem.augmented.layout, found.when and found.when._replace(regime=None)
-    fitted, unseen = fitted._replace(gate=gate(layout, fitted, when)), seen_at(layout, unseen, when)
+    layout, supports = found.problem.augmented.layout, [when._replace(regime=None) for when in found.supports]
+    fitted, unseen = opened(layout, fitted, supports), seen_at(layout, unseen, supports)
     judged = {name: scores.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
-    lacking = (Contestant(m.without.v, regime=found.regime) for m in found.members)
+    lacking = (Contestant(m.without.v, regimes=found.regimes) for m in found.members)
     return Judgement(
         {name: held for name, (held, _) in judged.items()},
         {name: on for name, (_, on) in judged.items()},
@@ -148,7 +150,7 @@ def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[repo
         return None, []
     member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
     about, ids = [member.candidate, rival.candidate], (member.candidate.effect.id, rival.candidate.effect.id)
-    designed = experiment.design(found.problem, found.fit, rival.fit, about, found.regime, list(training))
+    designed = experiment.design(found.problem, found.fit, rival.fit, about, found.regimes, list(training))
     if isinstance(designed, experiment.NoExperiment):
         return None, [f"No experiment is proposed to separate {' from '.join(ids)}: {designed.reason}."]
     return report.Plan(designed, ids), []

@@ -22,16 +22,16 @@ EVERYWHERE = Regime(0, 1.0, -np.inf)
 
 
 class Acting(NamedTuple):
-    """Internal constants of all effects at all sites: those in a regime, and those elsewhere."""
+    """Internal constants of all effects at all sites, and by how much they differ in each of S regimes."""
 
     theta: Float[np.ndarray, " P"]
-    within: Float[np.ndarray, " P"]
-    regime: Regime
+    delta: Float[np.ndarray, "S P"]
+    regimes: tuple[Regime, ...]
 
 
 def everywhere(theta: Float[np.ndarray, " P"]) -> Acting:
     """The same constants in every regime."""
-    return Acting(theta, theta, EVERYWHERE)
+    return Acting(theta, np.zeros((0, len(theta)), theta.dtype), ())
 
 
 class Feature(NamedTuple):

@@ -1,7 +1,7 @@
 """A simulator with the effects that a diagnosis found: it stands wherever the simulator stood."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, get_args
 
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Place, Row, Scales
-from simgap.effects.regime import EVERYWHERE, Acting, Regime, holds
+from simgap.effects.regime import Acting, Regime, holds
 from simgap.recordings import HISTORY
 from simgap.types import Parameter, Schema, Simulator
 
@@ -22,7 +22,7 @@ SETTLING = 16
 class AugmentedSimulator:
     """`simulator` with the internal constants of all effects at all sites, known and fixed; as a `Simulator`.
 
-    theta holds everywhere, or everywhere but in a `regime`, where `within` does.
+    theta holds everywhere; in each of `regimes` a row of `delta` is added.
 
     What the constants refer to, the `Scales` of the recordings they were found in, is held as tuples, so that it can be
     hashed. Outputs measured late are not taken back, for one state does not say how fast it was reached. The time in
@@ -31,20 +31,21 @@ class AugmentedSimulator:
 
     simulator: Simulator
     theta: tuple[float, ...]
-    within: tuple[float, ...]
-    regime: Regime
+    delta: tuple[tuple[float, ...], ...]
+    regimes: tuple[Regime, ...]
     frozen_scales: tuple[Any, ...]
 
     @staticmethod
     def of(simulator: Simulator, acting: Acting, scales: Scales) -> "AugmentedSimulator":
         """From the arrays that a diagnosis gives."""
         expected = len(Augmented(simulator).slots)
-        theta, within = (np.asarray(values, np.float32) for values in (acting.theta, acting.within))
-        for values in (theta, within):
-            if values.shape != (expected,):
-                raise ValueError(f"theta has shape {values.shape}; this simulator's effects have {expected} constants.")
-        outside, inside = (tuple(map(float, values)) for values in (theta, within))
-        return AugmentedSimulator(simulator, outside, inside, acting.regime, tuple(_frozen(s) for s in scales))
+        for values in (acting.theta, *acting.delta):
+            if np.shape(values) != (expected,):
+                raise ValueError(
+                    f"theta has shape {np.shape(values)}; this simulator's effects have {expected} constants."
+                )
+        theta, *delta = (tuple(map(float, np.asarray(v, np.float32))) for v in (acting.theta, *acting.delta))
+        return AugmentedSimulator(simulator, theta, tuple(delta), acting.regimes, tuple(_frozen(s) for s in scales))
 
     @property
     def schema(self) -> Schema:
@@ -69,7 +70,8 @@ class AugmentedSimulator:
     @cached_property
     def acting(self) -> Acting:
         """The constants as arrays of numpy's: laws whose constants are all zero are never traced."""
-        return Acting(np.asarray(self.theta, np.float32), np.asarray(self.within, np.float32), self.regime)
+        theta = np.asarray(self.theta, np.float32)
+        return Acting(theta, np.asarray(self.delta, np.float32).reshape(-1, len(theta)), self.regimes)
 
     @cached_property
     def scales(self) -> Scales:
@@ -79,7 +81,7 @@ class AugmentedSimulator:
     @property
     def effects(self) -> tuple[str, ...]:
         """The ids of the effects that are in it."""
-        each = (self.acting.theta, self.acting.within)
+        each = (self.acting.theta, *self.acting.delta)
         found = (law.effect.id for theta in each for law in self.augmented.laws(theta, None, *get_args(Place)))
         return tuple(dict.fromkeys(found))
 
@@ -93,11 +95,17 @@ class AugmentedSimulator:
         self, params: Float[Array, " p"], state: Float[Array, " s"], commands: Float[Array, "3 u"]
     ) -> Float[Array, " s"]:
         """The next state given u_{t-2}, u_{t-1}, u_t; before them, u_{t-2} was sent all along."""
-        outside = self._step(self.acting.theta, params, state, commands)
-        if self.regime == EVERYWHERE:
-            return outside
-        there = holds(self.augmented.layout, self.regime, state, commands[-1])
-        return jnp.where(there, self._step(self.acting.within, params, state, commands), outside)
+        step = partial(self._step, params=params, state=state, commands=commands)
+        # Laws whose constants are known to be zero are not traced, so constants stay numpy's: a step for every
+        # combination of regimes, of which there are few.
+        ways = [(self.acting.theta, jnp.array(True))]
+        for regime, delta in zip(self.regimes, self.acting.delta, strict=True):
+            there = holds(self.augmented.layout, regime, state, commands[-1])
+            ways += [(theta + delta, holding & there) for theta, holding in ways]
+        after = step(ways[0][0])
+        for theta, holding in ways[1:]:
+            after = jnp.where(holding, step(theta), after)
+        return after
 
     def _step(
         self,

@@ -605,14 +605,14 @@ def fitted_spot() -> FittedSpot:
 
 
 def fitted_simulator() -> FittedSimulator:
-    """With a dead time and a friction, both greater within a reach."""
+    """With a dead time and a friction, both greater within a reach, and smaller where it moves fast."""
     augmented, spot = Augmented(Spot(STEP)), fitted_spot()
     rng = np.random.default_rng(3)
     recording = Recording("made up", np.arange(60) / 15, rng.normal(size=(60, 12)), rng.normal(size=(60, 6)))
     theta = np.zeros(len(augmented.slots), np.float32)
     for i, slot in enumerate(augmented.slots):
         theta[i] = {"delay": 1.3, "coulomb_friction": 0.1}.get(CATALOGUE[slot.effect].id, 0.0)
-    acting = Acting(theta, 2 * theta, Regime(2, -1.0, 0.7))
+    acting = Acting(theta, np.stack([theta, -0.5 * theta]), (Regime(2, -1.0, 0.7), Regime(0, 1.0, 0.2)))
     simulator = AugmentedSimulator.of(Spot(STEP), acting, measure(augmented, [recording]))
     return FittedSimulator(simulator, spot.params, spot.scale, spot.dof)
 

@@ -43,13 +43,13 @@ def candidates(augmented: Augmented, scales: Scales, events: bool = False) -> li
 
 
 def changed(candidate: Candidate) -> Candidate:
-    """The hypothesis that an effect differs where the gate is open."""
-    return gated(candidate)._replace(twin=candidate.groups)
+    """The hypothesis that an effect differs where the first support is open."""
+    return behind(candidate, 1)._replace(twin=candidate.groups)
 
 
-def gated(candidate: Candidate) -> Candidate:
-    """The same hypothesis, acting only where the gate is open."""
-    return candidate._replace(groups=tuple(g._replace(gated=True) for g in candidate.groups))
+def behind(candidate: Candidate, support: int) -> Candidate:
+    """The same hypothesis, acting only where a support is open."""
+    return candidate._replace(groups=tuple(g._replace(support=support) for g in candidate.groups))
 
 
 def within_session(

@@ -1,10 +1,11 @@
 """When an effect acts: from a time on in every session, during a stretch of one session, or in a regime."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Bool, Float
 
 from simgap.diagnosis.hypotheses.features import inside
 from simgap.diagnosis.likelihood.segments import Chunks, Rows
@@ -26,22 +27,29 @@ class When(NamedTuple):
     regime: Regime | None = None
 
 
+NEVER = When(to_s=0.0)
+
+
 def told(layout: Layout, when: When) -> str:
     """In short: `where reach > 0.9 m`, `from 3.2 s on`."""
     return f"where {words(layout, when.regime)}" if when.regime is not None else f"from {when.from_s:.1f} s on"
 
 
-def gate(layout: Layout, chunks: Chunks, when: When | None) -> Float[Array, "C T"]:
-    """1 where an effect acts, which in a regime is as measured."""
+def opened(layout: Layout, chunks: Chunks, supports: Sequence[When]) -> Chunks:
+    """Chunks with a gate for each support; a single one, always open, where there are none."""
+    gates = [_gate(layout, chunks, when) for when in supports or [When()]]
+    return chunks._replace(gate=jnp.asarray(np.stack(gates, axis=1), jnp.float32))
+
+
+def _gate(layout: Layout, chunks: Chunks, when: When) -> Bool[np.ndarray, "C T"]:
+    """Where an effect acts; in a regime, as measured."""
     time = np.asarray(chunks.time_s)
-    if when is None:
-        return jnp.ones(time.shape)
     acts = (time >= when.from_s) & (time < when.to_s)
     if when.session is not None:
         acts &= (np.asarray(chunks.session) == when.session)[:, None]
     if when.regime is not None:
         acts &= inside(layout, when.regime, chunks)
-    return jnp.asarray(acts, jnp.float32)
+    return acts
 
 
 def elsewhere(rows: Rows, when: When, score: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

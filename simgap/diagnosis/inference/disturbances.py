@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, OWED
-from simgap.diagnosis.hypotheses.space import Candidate, gated, within_session
+from simgap.diagnosis.hypotheses.space import Candidate, behind, within_session
 from simgap.diagnosis.hypotheses.support import PUSH, When, at_start, elsewhere, to_its_end
 from simgap.diagnosis.inference.alternatives import Member, member
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import Model, Say, Tried
-from simgap.diagnosis.inference.onsets import opened
+from simgap.diagnosis.inference.onsets import with_support
 from simgap.diagnosis.inference.scan import scores, stretch, stretch_by_chance
 from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.inference.select import one_more
@@ -65,12 +65,14 @@ def pushed(
     drifts, pushes = within_session(throughout, events, to_its_end(rows, when))
     alike = (c for c in (*pushes, *drifts) if c.effect.law is best.event.effect.law and c.sites == best.event.sites)
     named = next(alike)
-    there, candidate = opened(model, when), gated(named)
-    begun = evaluate(there.problem, vary(fit.v, candidate, best.constants), (*fit.groups, *candidate.groups), fit.noise)
+    there, candidate = with_support(model, [], when), behind(named, 1)
+    begun = evaluate(
+        there.problem, vary(there.fit.v, candidate, best.constants), (*fit.groups, *candidate.groups), fit.noise
+    )
     after = Model(there.problem, *optimise(there.problem, begun))
     push = Tried.of(candidate, after.fit, fit)
     say(f"{named.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
-    others = [gated(c) for c in drifts if c is not named]
+    others = [behind(c, 1) for c in drifts if c is not named]
     found = [push, *one_more(there, others, rng, say).tried]
     if len(found) > 1 and found[1].gain > CLEARLY * push.gain + OWED:
         say(f"{found[1].candidate.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LIKELY
-from simgap.diagnosis.hypotheses.space import candidates, changed, gated, within_session
-from simgap.diagnosis.hypotheses.support import When, gate, to_its_end
+from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LIKELY, MOST_SUPPORTS
+from simgap.diagnosis.hypotheses.space import Candidate, behind, candidates, changed, within_session
+from simgap.diagnosis.hypotheses.support import When, opened, to_its_end
 from simgap.diagnosis.inference.alternatives import Member, defend, outshone
 from simgap.diagnosis.inference.disturbances import pushed
 from simgap.diagnosis.inference.heldout import agrees, by_row, gain, seen_at
@@ -33,9 +33,9 @@ class Explanation(NamedTuple):
 
     as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
     sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over; law: one
-    beside them that has no name. unseen: the held-out rows, gated as the effects are. when: when and where one of the
-    effects acts, if not throughout. rounds: what was tried. baseline: number of its sessions; with any, what is left
-    over is what they do not leave as well, and no law without a name is looked for.
+    beside them that has no name. unseen: the held-out rows, with the effects' supports. supports: when and where
+    effects act that do not act throughout. rounds: what was tried. baseline: number of its sessions; with any, what is
+    left over is what they do not leave as well, and no law without a name is looked for.
     """
 
     problem: Problem
@@ -48,7 +48,7 @@ class Explanation(NamedTuple):
     left: LeftOver
     law: Law
     unseen: Chunks
-    when: When | None
+    supports: tuple[When, ...]
     rounds: list[Round]
     baseline: int
 
@@ -75,17 +75,18 @@ class Explanation(NamedTuple):
         return {m.candidate.effect.id for m in self.members}
 
     @property
-    def regime(self) -> Regime:
-        """In which one of the effects acts."""
-        return (self.when and self.when.regime) or EVERYWHERE
+    def regimes(self) -> tuple[Regime, ...]:
+        """Of every support; everywhere, where there is none, or it is a matter of time."""
+        return tuple(when.regime or EVERYWHERE for when in self.supports) or (EVERYWHERE,)
 
     def acting(self, fit: Fit) -> Acting:
         """The constants of a fit, as part of a simulator: what changed since a baseline acts in it as well, and what
         acts in a regime acts there; what acts for a while only is no part of it."""
-        theta, within = (np.asarray(a) for a in (fit.v.theta, fit.v.theta + fit.v.gated))
-        if self.regime != EVERYWHERE:
-            return Acting(theta, within, self.regime)
-        return everywhere(within if self.baseline and not self.when else theta)
+        theta, delta = np.asarray(fit.v.theta), np.asarray(fit.v.delta)
+        if self.baseline and not self.supports:
+            return everywhere(theta + delta[0])
+        lasting = [s for s, when in enumerate(self.supports) if when.regime is not None]
+        return Acting(theta, delta[lasting], tuple(self.regimes[s] for s in lasting))
 
     def known(self) -> Fit:
         """The fit without the effects that are nearest words only; nothing is fitted anew."""
@@ -101,6 +102,12 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
         return [part(r.name, slice(0, edge))], [part(f"{r.name} (last quarter)", slice(edge, None))]
     held = set(range(3, len(recordings), 4)) or {len(recordings) - 1}
     return [r for i, r in enumerate(recordings) if i not in held], [r for i, r in enumerate(recordings) if i in held]
+
+
+def _acting_when(member: Member, supports: Sequence[When]) -> Member:
+    """With the support that it acts in."""
+    support = member.candidate.groups[0].support
+    return member._replace(when=supports[support - 1]) if support else member
 
 
 def explain(
@@ -138,7 +145,8 @@ def explain(
 
     def helps(problem: Problem, tried: Tried, owed: float) -> bool:
         # What acts in one session of training only is nothing to the others.
-        elsewhere = not np.asarray(unseen.gate).any() and tried.candidate.groups[0].gated
+        support = tried.candidate.groups[0].support
+        elsewhere = support and not np.asarray(unseen.gate)[:, support - 1].any()
         gained = by_row(tried.without, tried.fit)
         holds = elsewhere or agrees(gained, gain(problem, unseen, tried.without, tried.fit), problem.chunks, owed)
         return holds and (not baseline or differs(problem, tried, len(baseline)))
@@ -151,24 +159,35 @@ def explain(
     looked_at, odd = model.fit, sum(s.gain for s in scattered if s.rare)
     if not baseline:  # which has odd rows as well, that would make up as much
         model, members = outshone(model, members, odd, say)
-    when = None if baseline else acts_when(model, members, unseen, say)
-    if not (baseline or members or odd):
-        when = begins(model, searched.rounds[0].screening, rng, say)
-    if when is not None:
-        # What acts for a while or in a regime only was looked for as if it acted throughout: look again.
-        whole = problem, unseen, searched, model, members, rounds
-        problem = problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when)))
-        unseen = seen_at(layout, unseen, when)
-        behind = throughout
+
+    def within(support: int, when: When) -> list[Candidate]:
+        """Hypotheses that an effect acts there only."""
+        some = throughout
         if when.session is not None:  # it may have been a push as well
             drifts, pushes = within_session(throughout, events, to_its_end(rows_of(chunks), when))
-            behind = [*drifts, *pushes]
-        hypotheses = [*throughout, *(gated(c) for c in behind)]
-        searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
+            some = [*drifts, *pushes]
+        return [behind(c, support) for c in some]
+
+    supports: list[When] = []
+    while not baseline and len(supports) < MOST_SUPPORTS:
+        when = acts_when(model, members, supports, unseen, say)
+        if not (members or odd):
+            when = begins(model, searched.rounds[0].screening, rng, say)
+        if when is None:
+            break
+        # What acts for a while or in a regime only was looked for as if it acted throughout: look again.
+        before = problem, unseen, searched, model, members, rounds, supports
+        supports = [*supports, when]
+        problem = problem._replace(chunks=opened(layout, chunks, supports))
+        unseen = seen_at(layout, unseen, supports)
+        hypotheses = [*throughout, *(h for i, s in enumerate(supports, 1) for h in within(i, s))]
+        nominal = as_is.v._replace(delta=np.zeros((len(supports), as_is.v.delta.shape[1]), np.float32))
+        searched = search(problem, evaluate(problem, nominal, as_is.groups), hypotheses, helps, rng, say)
         model, members, rounds = defend(searched, hypotheses, helps, rng, say)
-        members = tuple(m._replace(when=when) if m.candidate.groups[0].gated else m for m in members)
-        if not members:
-            problem, unseen, searched, model, members, rounds = whole
+        members = tuple(_acting_when(m, supports) for m in members)
+        if not members or (len(supports) > 1 and not any(m.when == when for m in members)):
+            problem, unseen, searched, model, members, rounds, supports = before
+            break
 
     def bare() -> Model:
         """The model without its effects."""
@@ -184,8 +203,9 @@ def explain(
         if pays and not any(acted_before(m.when, len(baseline)) for m in those):
             base = base if with_push is model else None
             model, members = with_push, those
-    when = next((m.when for m in members if m.when), None)
-    unseen = seen_at(layout, unseen, when)
+    if not any(m.when in supports for m in members):
+        supports = [m.when for m in members if m.when]  # that of a push
+    unseen = seen_at(layout, unseen, supports)
     say("looking at the scatter that is left")
     if baseline:
         scattered = scatter_since(model, training, baseline, unseen)
@@ -199,5 +219,6 @@ def explain(
     law = no_law(model, unseen) if baseline else unnamed(model, unseen, rng, say)
     return Explanation(
         model.problem, as_is, base.fit, model.fit, spread(*model), members, scattered,
-        leaves(model.problem, model.fit, len(baseline)), law, unseen, when, [*searched.rounds, *rounds], len(baseline),
+        leaves(model.problem, model.fit, len(baseline)), law, unseen, tuple(supports), [*searched.rounds, *rounds],
+        len(baseline),
     )  # fmt: skip

@@ -1,9 +1,11 @@
 """What sessions that take no part in a fit say of it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.hypotheses.support import When, gate
+from simgap.diagnosis.hypotheses.support import NEVER, When, opened
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, rows_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -34,8 +36,6 @@ def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
     return b - a
 
 
-def seen_at(layout: Layout, unseen: Chunks, when: When | None) -> Chunks:
-    """Held-out rows with the gate open when an effect acts there: never, where it belongs to a session of training."""
-    if when is not None and when.session is not None:
-        return unseen._replace(gate=0 * unseen.gate)
-    return unseen._replace(gate=gate(layout, unseen, when))
+def seen_at(layout: Layout, unseen: Chunks, supports: Sequence[When]) -> Chunks:
+    """Held-out rows with a gate for each support: never open, where it belongs to a session of training."""
+    return opened(layout, unseen, [NEVER if when.session is not None else when for when in supports])

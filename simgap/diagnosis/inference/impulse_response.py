@@ -14,7 +14,7 @@ from jaxtyping import Float
 from simgap.diagnosis.hypotheses.space import candidates
 from simgap.diagnosis.inference.null_distribution import Evidence
 from simgap.diagnosis.likelihood.filter import Variables, estimates_of
-from simgap.diagnosis.likelihood.problem import Group, Problem, raw_innovations, replaced, side_by_side
+from simgap.diagnosis.likelihood.problem import Group, Problem, raw_innovations, side_by_side, with_value
 from simgap.layout import X, Y
 
 ROWS = 8
@@ -27,8 +27,9 @@ Echo = Float[np.ndarray, "C T-1 k s"]
 
 def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
     """Along the bodies' own axes, and along the world's where a body that turns moves over the ground."""
-    # What acts for a while only hardly changes how a push echoes, and the gate is the pushes' here.
-    v = v._replace(gated=np.zeros_like(v.gated))
+    # What acts for a while only hardly changes how a push echoes: the pushes take the place of all supports.
+    v = v._replace(delta=np.zeros_like(v.delta[:1]))
+    problem = problem._replace(chunks=problem.chunks._replace(gate=problem.chunks.gate[:, :1]))
     drifts = [c for c in candidates(problem.augmented, problem.scales) if c.effect.id == "body_frame_bias"]
     still = raw_innovations(problem, v)
     own = {c.where: _echo(problem, v, still, c.groups[0], c.starts[0][0]) for c in drifts if len(c.sites) == 1}
@@ -47,11 +48,11 @@ def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
 def _echo(problem: Problem, v: Variables, still: Float[np.ndarray, "C T-1 s"], drift: Group, size: float) -> Echo:
     """By pushes of this size in every so many rows, once from each row on; `still` are innovations without them."""
     chunks = problem.chunks
-    pushed = v._replace(gated=replaced(v.gated, drift.entries, size))
+    pushed = with_value(v, drift._replace(support=1), size)
 
     def change(first: int) -> Float[np.ndarray, "C T-1 s"]:
         gate = np.zeros(chunks.gate.shape, np.float32)
-        gate[:, first::ROWS] = 1.0
+        gate[..., first::ROWS] = 1.0
         with_pushes = problem._replace(chunks=chunks._replace(gate=jnp.asarray(gate)))
         return (raw_innovations(with_pushes, pushed) - still) / size @ problem.whiten.T.astype(np.float32)
 

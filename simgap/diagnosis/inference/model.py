@@ -11,7 +11,7 @@ from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.inference.gauss_newton import CONVERGED, optimise
 from simgap.diagnosis.inference.score_test import Screening
 from simgap.diagnosis.likelihood.derivatives import constant_columns
-from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, replaced, start, whitening
+from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, start, whitening, with_value
 from simgap.diagnosis.likelihood.student_t import log_density
 
 SETTLED = 1.0
@@ -100,14 +100,10 @@ def absorbing(model: Model) -> Float[np.ndarray, "M n s"]:
 
 def without(fit: Fit, groups: Sequence[Group]) -> Fit:
     """The fit with some constants at zero and no longer free; nothing is fitted anew."""
-    theta, gated = fit.v.theta, fit.v.gated
+    v = fit.v
     for group in groups:
-        if group.gated:
-            gated = replaced(gated, group.entries, 0.0)
-        else:
-            theta = replaced(theta, group.entries, 0.0)
-    rest = tuple(g for g in fit.groups if g not in groups)
-    return fit._replace(v=fit.v._replace(theta=theta, gated=gated), groups=rest)
+        v = with_value(v, group, 0.0)
+    return fit._replace(v=v, groups=tuple(g for g in fit.groups if g not in groups))
 
 
 def lacking(model: Model, effects: Sequence[Candidate], enough: float = CONVERGED) -> Model:
@@ -118,7 +114,7 @@ def lacking(model: Model, effects: Sequence[Candidate], enough: float = CONVERGE
     """
     problem, fit, _ = model
     rest, nominal = without(fit, [group for effect in effects for group in effect.groups]), start(problem)
-    for v in (rest.v, nominal._replace(theta=rest.v.theta, gated=rest.v.gated), nominal):
+    for v in (rest.v, nominal._replace(theta=rest.v.theta, delta=rest.v.delta), nominal):
         begun = evaluate(problem, v, rest.groups)
         if np.isfinite(begun.loglik):
             break

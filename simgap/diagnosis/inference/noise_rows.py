@@ -5,7 +5,7 @@ rows that are wide in no direction, and with misfit along the directions in whic
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.alternatives import compared
 from simgap.diagnosis.inference.noise_effect import OTHER, OWED, Scatter
-from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Robot, Sample, robot_of, sample_of
+from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, robot_of, sample_of
 from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
 from simgap.diagnosis.likelihood.problem import Fit, Problem
@@ -28,20 +28,6 @@ RARE, COMMON = 0.02, 0.3
 """Shares of rows with which the fit of a component begins, of what acts in few rows and in many."""
 SPREAD = 0.3
 """Standard deviation of an amplitude, and slope of the noise by the motion, with which their fits begin."""
-
-
-class Fitted(NamedTuple):
-    """A hypothesis: its law of any sample, its constants, ln p of the training rows, and the number of constants beyond
-    those of noise without a name."""
-
-    id: str
-    law: Callable[[Sample], Law]
-    mixture: Mixture
-    density: Float[np.ndarray, " n"]
-    constants: int
-    rare: bool = False
-    about: int = 0
-    """Body (0: all) or subsystem."""
 
 
 def of_rows(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:

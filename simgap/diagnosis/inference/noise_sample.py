@@ -1,6 +1,6 @@
 """Rows under the model of the mean: innovations, and how stalls and lost commands would move them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis.inference.null_distribution import blocks
+from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations, replaced, row_trials
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Slot
@@ -45,6 +46,20 @@ class Sample(NamedTuple):
     advance: Float[np.ndarray, "n s"]
     held: list[Float[np.ndarray, "k n s"]]
     starts: np.ndarray
+
+
+class Fitted(NamedTuple):
+    """A hypothesis: its law of any sample, its constants, ln p of the training rows, and the number of constants beyond
+    those of noise without a name."""
+
+    id: str
+    law: Callable[[Sample], Law]
+    mixture: Mixture
+    density: Float[np.ndarray, " n"]
+    constants: int
+    rare: bool = False
+    about: int = 0
+    """Body (0: all) or subsystem."""
 
 
 def robot_of(problem: Problem) -> Robot:

@@ -8,8 +8,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.noise_effect import Axis, Between, Widening
-from simgap.diagnosis.inference.noise_rows import Fitted
-from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Robot, Sample
+from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample
 from simgap.diagnosis.inference.row_mixture_em import Mixture
 from simgap.diagnosis.likelihood.student_t import Noise
 

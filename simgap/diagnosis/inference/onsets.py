@@ -1,6 +1,6 @@
 """Whether effects act throughout, or from a time on, during a stretch of one session, or in a regime."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, OWED, OWED_BY_REGIMES
 from simgap.diagnosis.hypotheses.features import of_rows
-from simgap.diagnosis.hypotheses.space import Candidate, gated
-from simgap.diagnosis.hypotheses.support import LASTING, When, gate, told
+from simgap.diagnosis.hypotheses.space import Candidate, behind
+from simgap.diagnosis.hypotheses.support import LASTING, When, opened, told
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.gauss_newton import hold, refine
 from simgap.diagnosis.inference.heldout import gain, seen_at
@@ -36,23 +36,30 @@ class _Restriction(NamedTuple):
     model: Model
 
 
-def acts_when(model: Model, members: tuple[Member, ...], unseen: Chunks, say: Say) -> When | None:
+def acts_when(
+    model: Model, members: tuple[Member, ...], supports: Sequence[When], unseen: Chunks, say: Say
+) -> When | None:
     """When the first effect acts that fits better from a time on, during a stretch of one session, or in a regime.
 
-    None if none does. A regime is a law of the robot's, to which held-out sessions must agree.
+    Of the effects that act throughout as yet; others have their `supports`, and what these gain may owe to misfit of
+    their laws. None if none does. A regime is a law of the robot's, to which held-out sessions must agree.
     """
     problem, layout = model.problem, model.problem.augmented.layout
-    for hypotheses in _ways(model, members):
+    throughout = tuple(m for m in members if m.when is None)
+    misfit = LEAST_SHARE * sum(m.gain for m in members if m.when is not None)
+    for hypotheses in _ways(model, throughout):
         # Those with shapes have an onset of their own.
         free = [(m, c) for m, c in hypotheses if not any(constant.shapes for constant in c.effect.constants)]
         tried = [r for m, c in free for r in _restrictions(m, c, model.fit.loglik)]
         best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
-        if best is None or best.promise <= _owed(best.when):
+        if best is None or best.promise <= _owed(best.when) + misfit:
             continue
-        restricted = _behind_gate(opened(best.model, best.when), best.candidate)
+        restricted = _behind(with_support(best.model, supports, best.when), best.candidate)
         more = restricted.loglik - model.fit.loglik
-        seen = seen_at(layout, unseen, best.when)
-        if more > _owed(best.when) and (best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0):
+        seen = seen_at(layout, unseen, [*supports, best.when])
+        if more > _owed(best.when) + misfit and (
+            best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0
+        ):
             say(f"{best.candidate.name} acts {told(layout, best.when)} ({more:+.1f} nats)")
             return best.when
     return None
@@ -137,9 +144,13 @@ def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
             when = when._replace(to_s=float(last) + problem.scales.time_step)
     if more <= _owed(when):
         return _Restriction(0.0, when, hypothesis.candidate, model)
-    there, candidate = opened(model, when).problem, gated(hypothesis.candidate)
-    begun = evaluate(there, vary(fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise)
-    return _Restriction(refine(there, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model)
+    there, candidate = with_support(model, [], when), behind(hypothesis.candidate, 1)
+    begun = evaluate(
+        there.problem, vary(there.fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise
+    )
+    return _Restriction(
+        refine(there.problem, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model
+    )
 
 
 def _owed(when: When) -> float:
@@ -172,16 +183,20 @@ def _beyond(found: Float[np.ndarray, "n f"]) -> Iterator[_Look]:
             yield _Look(column <= edge, regime=True)
 
 
-def opened(model: Model, when: When) -> Model:
-    """The model with its gate open when an effect acts."""
-    layout, chunks = model.problem.augmented.layout, model.problem.chunks
-    return model._replace(problem=model.problem._replace(chunks=chunks._replace(gate=gate(layout, chunks, when))))
-
-
-def _behind_gate(model: Model, throughout: Candidate) -> Fit:
-    """The fit with an effect's constants moved behind the gate."""
+def with_support(model: Model, supports: Sequence[When], when: When) -> Model:
+    """The model with one more support than it has, in which nothing acts yet."""
     problem, fit, nuisance = model
-    candidate = gated(throughout)
+    supports = [*supports, when]
+    chunks = opened(problem.augmented.layout, problem.chunks, supports)
+    delta = np.zeros((len(supports), fit.v.delta.shape[1]), np.float32)
+    delta[: len(supports) - 1] = fit.v.delta[: len(supports) - 1]
+    return Model(problem._replace(chunks=chunks), fit._replace(v=fit.v._replace(delta=delta)), nuisance)
+
+
+def _behind(model: Model, throughout: Candidate) -> Fit:
+    """The fit with an effect's constants moved behind the last support."""
+    problem, fit, nuisance = model
+    candidate = behind(throughout, len(fit.v.delta))
     constants = [float(fit.v.theta[g.entries[0]]) for g in throughout.groups]
     rest = without(fit, throughout.groups)
     begun = evaluate(problem, vary(rest.v, candidate, constants), (*rest.groups, *candidate.groups), fit.noise)

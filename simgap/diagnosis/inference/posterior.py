@@ -14,7 +14,7 @@ from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.scan import edges_ci95, scores
 from simgap.diagnosis.likelihood.derivatives import constant_columns
 from simgap.diagnosis.likelihood.directions import directions, spans
-from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, trials
+from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, trials, value_of
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import weights
 from simgap.effects.effect import Constant
@@ -77,7 +77,7 @@ def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, 
     """Whether any of the effect's amplitudes is so many standard deviations from zero, and none beyond belief."""
     told = False
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
-        value = abs(float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]]))
+        value = abs(value_of(fit.v, group))
         if value > min(constant.credible(site, problem.scales) for site in candidate.sites):
             return False
         told |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
@@ -93,8 +93,9 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
     """
     found, deviations = [], _deviations(gain)
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
-        # Where the gate is open both act: what holds everywhere and what is added there.
-        before, c = float(fit.v.theta[group.entries[0]]), float(fit.v.gated[group.entries[0]])
+        # Where a support is open both act: what holds everywhere and what is added there.
+        before = float(fit.v.theta[group.entries[0]]) if group.support else 0.0
+        c = value_of(fit.v, group)
         width = deviations * float(sd.constants[fit.groups.index(group)])
         physical = partial(_physical, problem, candidate.sites[0], constant, group)
         nil = physical(0.0)
@@ -111,7 +112,7 @@ def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gai
     and none is a whole range."""
     low, high = problem.augmented.bounds
     for group in candidate.groups:
-        c = float((fit.v.gated if group.gated else fit.v.theta)[group.entries[0]])
+        c = value_of(fit.v, group)
         width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
         whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
         if whole or not width > 0:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.inference.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Fit, Problem, replaced, side_by_side, trials
+from simgap.diagnosis.likelihood.problem import Fit, Problem, side_by_side, trials, with_value
 from simgap.diagnosis.likelihood.student_t import weights
 
 PART = 8
@@ -81,13 +81,9 @@ class Screening(NamedTuple):
 
 def vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Variables:
     """v with the candidate's constants set."""
-    theta, gated = v.theta, v.gated
     for group, value in zip(candidate.groups, constants, strict=True):
-        if group.gated:
-            gated = replaced(gated, group.entries, value)
-        else:
-            theta = replaced(theta, group.entries, value)
-    return v._replace(theta=theta, gated=gated)
+        v = with_value(v, group, value)
+    return v
 
 
 def _directions(candidates: Sequence[Candidate]) -> list[_Direction]:
@@ -170,10 +166,10 @@ def basis_of(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:
 def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
     """What was tested of some hypotheses' constants, those of greatest gain, best first; of jagged laws as many, for
     what is near such a law's summit but not on it has little of its gain."""
-    tested: dict[tuple[str, bool, bool, int], list[Screened]] = {}
+    tested: dict[tuple[str, int, bool, int], list[Screened]] = {}
     for s in sorted(found, key=lambda s: -s.gain):
         candidate = s.candidate
-        key = (candidate.name, candidate.groups[0].gated, bool(candidate.twin), s.constant)
+        key = (candidate.name, candidate.groups[0].support, bool(candidate.twin), s.constant)
         tested.setdefault(key, []).append(s)
     smooth, jagged = ([t for t in tested.values() if t[0].candidate.effect.jagged == j] for j in (False, True))
     return [*smooth[:PROMISING], *jagged[:PROMISING]]
@@ -204,7 +200,7 @@ def closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[
 
 def _part(candidate: Candidate, of: Candidate) -> bool:
     """Whether a hypothesis is that of the same law at some of its sites."""
-    alike = candidate.effect is of.effect and candidate.groups[0].gated == of.groups[0].gated
+    alike = candidate.effect is of.effect and candidate.groups[0].support == of.groups[0].support
     return alike and bool(candidate.twin) == bool(of.twin) and set(candidate.sites) < set(of.sites)
 
 

@@ -21,7 +21,7 @@ from simgap.diagnosis.inference.model import (
 )
 from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials
+from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials, value_of
 from simgap.diagnosis.likelihood.student_t import log_density
 
 FITTED = 10
@@ -44,8 +44,8 @@ def one_more(
     One of them may be fitted already: the `own` that holds the place.
     """
     problem, fit, _ = model
-    taken = {(entry, group.gated) for group in fit.groups for entry in group.entries}
-    free = [c for c in candidates if not taken & {(e, g.gated) for g in c.groups for e in g.entries}]
+    taken = {(entry, group.support) for group in fit.groups for entry in group.entries}
+    free = [c for c in candidates if not taken & {(e, g.support) for g in c.groups for e in g.entries}]
     absorbed = absorbing(model)
     screening = screen(problem, fit, absorbed, free, LEVEL, rng)
     say(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
@@ -88,7 +88,7 @@ def _to_its_end(problem: Problem, t: Tried) -> Tried:
     ends = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
     if t.candidate.effect.basins:
         group = t.candidate.groups[0]
-        now = float((t.fit.v.gated if group.gated else t.fit.v.theta)[group.entries[0]])
+        now = value_of(t.fit.v, group)
         for start in (s for s in t.candidate.starts if s[0] > now):
             begun = evaluate(problem, vary(t.without.v, t.candidate, start), t.fit.groups, t.without.noise)
             if np.isfinite(begun.loglik):

@@ -21,9 +21,9 @@ from simgap.types import Recording
 
 
 def behind_gate(chunks: Chunks, baseline: int) -> Chunks:
-    """With the gate open in the sessions after those of the baseline only."""
-    since = (np.asarray(chunks.session) >= baseline)[:, None]
-    return chunks._replace(gate=np.repeat(since, chunks.gate.shape[1], 1).astype(np.float32))
+    """With one support, open in the sessions after those of the baseline only."""
+    since = (np.asarray(chunks.session) >= baseline)[:, None, None]
+    return chunks._replace(gate=np.broadcast_to(since, chunks.gate.shape).astype(np.float32))
 
 
 class _Units(NamedTuple):

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.likelihood.directions import bounds_of, directions, room_to_move, step_from
 from simgap.diagnosis.likelihood.filter import Variables, tangents
-from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, replaced, side_by_side, trials
+from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, side_by_side, trials, value_of, with_value
 
 BATCH = 16
 """Directions whose derivatives are computed side by side: one number, for each is compiled anew."""
@@ -72,15 +72,12 @@ def constant_columns(problem: Problem, v: Variables, groups: Sequence[Group]) ->
         return np.zeros((0, int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)), np.float32)
     plus, minus, width = [], [], []
     for group in groups:
-        entries = list(group.entries)
-        base = v.gated if group.gated else v.theta
-        value = float(base[entries[0]])
+        value = value_of(v, group)
         h = STEP * (abs(value) + group.scale)
         low, high = bounds_of(problem, v, group)
         ends = np.array([min(value + h, high), max(value - h, low)], np.float32)
         for target, to in zip((plus, minus), ends, strict=True):
-            changed = replaced(base, entries, to)
-            target.append(v._replace(gated=changed) if group.gated else v._replace(theta=changed))
+            target.append(with_value(v, group, to))
         width.append(float(ends[0] - ends[1]) / group.scale)
     columns = _slopes(trials(problem, [*plus, *minus]), np.array(width))
     odd = np.flatnonzero(~_bounded(columns))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Group, Problem, replaced
+from simgap.diagnosis.likelihood.problem import Group, Problem, replaced, value_of
 
 TRUST = (0.0, 1.0)
 """Bounds of K's diagonal: the share of an innovation that a measured output is trusted with."""
@@ -22,14 +22,16 @@ def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Fl
     p, s, size = len(problem.augmented.simulator.parameters), len(problem.whiten), len(problem.augmented.slots)
     c = len(problem.augmented.layout.akin)
     m = p + s + c + len(groups)
-    phi, gain, cross, theta, gated = (np.zeros((m, n), np.float32) for n in (p, s, c, size, size))
+    phi, gain, cross, theta = (np.zeros((m, n), np.float32) for n in (p, s, c, size))
+    delta = np.zeros((m, problem.chunks.gate.shape[1], size), np.float32)
     phi[:p] = np.diag(spans(problem))
     gain[p : p + s] = np.eye(s)
     cross[p + s : p + s + c] = np.eye(c)
     for k, group in enumerate(groups):
-        (gated if group.gated else theta)[p + s + c + k, list(group.entries)] = group.scale
+        base = theta if group.support == 0 else delta[:, group.support - 1]
+        base[p + s + c + k, list(group.entries)] = group.scale
     precision = [(p, PRIOR_PRECISION), (s, 0.1), (c, 1.0), (len(groups), 1e-8)]
-    return Variables(phi, gain, cross, theta, gated), np.concatenate([np.full(n, each) for n, each in precision])
+    return Variables(phi, gain, cross, theta, delta), np.concatenate([np.full(n, each) for n, each in precision])
 
 
 def spans(problem: Problem) -> Float[np.ndarray, " p"]:
@@ -38,12 +40,12 @@ def spans(problem: Problem) -> Float[np.ndarray, " p"]:
 
 
 def bounds_of(problem: Problem, v: Variables, group: Group) -> tuple[float, float]:
-    """Between which a constant makes sense: where it is gated, together with what acts everywhere."""
+    """Between which a constant makes sense: behind a support, together with what acts everywhere."""
     entries = list(group.entries)
     low, high = (bound[entries] for bound in problem.augmented.bounds)
-    if not group.gated:
+    if group.support == 0:
         return float(low.max()), float(high.min())
-    here, value = np.asarray(v.theta)[entries], float(v.gated[entries[0]])
+    here, value = np.asarray(v.theta)[entries], value_of(v, group)
     return min(float((low - here).max()), value), max(float((high - here).min()), value)
 
 
@@ -60,7 +62,7 @@ def room_to_move(
     down = [(low - v.phi) / units, TRUST[0] - v.gain, -CROSS - v.cross]
     up = [(high - v.phi) / units, TRUST[1] - v.gain, CROSS - v.cross]
     for group in groups:
-        least, most = (-np.inf, np.inf) if group.gated else bounds_of(problem, v, group)
+        least, most = (-np.inf, np.inf) if group.support else bounds_of(problem, v, group)
         value = v.theta[group.entries[0]]
         down.append(np.array([(least - value) / group.scale]))
         up.append(np.array([(most - value) / group.scale]))
@@ -70,12 +72,13 @@ def room_to_move(
 def step_from(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
     """v + delta along the free directions, kept within the bounds where it is rounded."""
     free, _ = directions(problem, groups)
-    moved = Variables(*(a + delta.astype(np.float32) @ b for a, b in zip(v, free, strict=True)))
+    step = delta.astype(np.float32)
+    moved = Variables(*(a + (step @ b.reshape(len(b), -1)).reshape(a.shape) for a, b in zip(v, free, strict=True)))
     low, high = problem.augmented.bounds
-    own = [i for g in groups if not g.gated for i in g.entries]
+    own = [i for g in groups if g.support == 0 for i in g.entries]
     theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
     phi = np.clip(moved.phi, *_ranges(problem))
-    return Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.gated)
+    return Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.delta)
 
 
 def prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np.ndarray:

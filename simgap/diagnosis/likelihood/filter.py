@@ -10,6 +10,7 @@ base moves the hand as well, and a position informs about its velocity. With a d
 predictable where nothing is missing. K is constant in the bodies' own frames.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -26,13 +27,14 @@ from simgap.layout import Layout, rotated, wrapped
 
 class Variables(NamedTuple):
     """All that can be fitted: simulator parameters phi, the gain K's diagonal, its entries beside that
-    (`Layout.akin`), effects' constants, those where gated."""
+    (`Layout.akin`), effects' constants, and by how much these differ where each
+    of S supports is open."""
 
     phi: Float[np.ndarray, " p"]
     gain: Float[np.ndarray, " s"]
     cross: Float[np.ndarray, " c"]
     theta: Float[np.ndarray, " P"]
-    gated: Float[np.ndarray, " P"]
+    delta: Float[np.ndarray, "S P"]
 
 
 def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
@@ -57,6 +59,13 @@ def corrected(
     return x + rotated(layout, K @ rotated(layout, e, x, -1.0), x, 1.0)
 
 
+def acting(v: Variables, theta: Theta, gate: Sequence[Float[Array, ""]] | Float[Array, " S"]) -> Theta:
+    """The constants of a row: theta + sum_s gate_s delta_s."""
+    for s in range(len(v.delta)):
+        theta = theta + gate[s] * v.delta[s]
+    return theta
+
+
 _Rows = Float[Array, "T-1 s"]
 
 
@@ -68,7 +77,7 @@ def _chunk(
     With `other` constants, each innovation is what it would be, had that step alone been taken with these.
     """
     K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
-    at_start = v.theta + chunk.gate[0] * v.gated
+    at_start = acting(v, v.theta, chunk.gate[:, 0])
     first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
     memory = remember(augmented, phi, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
 
@@ -77,7 +86,7 @@ def _chunk(
         y_next, u, time_s, next_s, interval, gate = now
 
         def step(theta: Theta) -> tuple[Memory, Float[Array, " s"], Float[Array, " s"]]:
-            here, theta = Row(time_s, interval), theta + gate * v.gated
+            here, theta = Row(time_s, interval), acting(v, theta, gate)
             after, foretold = advance(augmented, phi, theta, scales, memory, x, u, here, active)
             seen = sense(augmented, theta, after, foretold, here._replace(time_s=next_s), active)
             return after, foretold, wrap(augmented, y_next - seen)
@@ -87,7 +96,7 @@ def _chunk(
         return (after, corrected(augmented.layout, K, foretold, e)), (x, told)
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
-    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:-1])
+    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:, :-1].T)
     return jax.lax.scan(row, (memory, first), rows)[1]
 
 
@@ -99,20 +108,20 @@ def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chu
 @partial(jax.jit, static_argnames="augmented")
 def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
     """Innovations in the outputs' units, zero in rows that do not count."""
-    return _all(augmented, scales, v, augmented.active(v.theta, v.gated), chunks)
+    return _all(augmented, scales, v, augmented.active(v.theta, *v.delta), chunks)
 
 
 @partial(jax.jit, static_argnames="augmented")
 def estimates_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
     """The estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
-    active = augmented.active(v.theta, v.gated)
+    active = augmented.active(v.theta, *v.delta)
     return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[0])(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
 def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 s"]:
     """What each innovation would be, had its step alone been taken with other constants than those before it."""
-    active = augmented.active(v.theta, v.gated, theta)
+    active = augmented.active(v.theta, *v.delta, theta)
     return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
 
 
@@ -127,7 +136,7 @@ def tangents(
     chunks: Chunks,
 ) -> Float[Array, "M C T-1 s"]:
     """Derivatives of the innovations along M directions in phi and K."""
-    active = augmented.active(v.theta, v.gated)
+    active = augmented.active(v.theta, *v.delta)
 
     def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 s"]:
         at = lambda p, g, c: _all(augmented, scales, v._replace(phi=p, gain=g, cross=c), active, chunks)  # noqa: E731

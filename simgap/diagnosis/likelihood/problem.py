@@ -36,11 +36,11 @@ class Problem(NamedTuple):
 
 class Group(NamedTuple):
     """One free constant: the entries of theta that share it, the size it is looked for at (its unit in fits and
-    derivatives), and whether it acts where gated only."""
+    derivatives), and where it acts: always (0), or where support s is open (s from 1)."""
 
     entries: tuple[int, ...]
     scale: float
-    gated: bool = False
+    support: int = 0
 
 
 class Fit(NamedTuple):
@@ -67,7 +67,13 @@ def start(problem: Problem) -> Variables:
     layout = problem.augmented.layout
     sizes = (len(layout.schema.state), len(layout.akin), len(problem.augmented.slots))
     gain, cross, zero = (np.zeros(n, np.float32) for n in sizes)
-    return Variables(problem.augmented.nominal, gain + 0.5, cross, zero, zero)
+    return Variables(
+        problem.augmented.nominal,
+        gain + 0.5,
+        cross,
+        zero,
+        np.zeros((problem.chunks.gate.shape[1], len(zero)), np.float32),
+    )
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
@@ -86,6 +92,21 @@ def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
     z = z - z.sum(0) / max(len(z), 1)
     covariance = z.T @ z / max(len(z) - 1, 1) + 1e-4 * np.eye(e.shape[1])
     return np.linalg.inv(np.linalg.cholesky(covariance)) / scale
+
+
+def value_of(v: Variables, group: Group) -> float:
+    """The internal constant that a group's entries share."""
+    base = v.theta if group.support == 0 else v.delta[group.support - 1]
+    return float(base[group.entries[0]])
+
+
+def with_value(v: Variables, group: Group, value: float) -> Variables:
+    """v with a group's constant set."""
+    if group.support == 0:
+        return v._replace(theta=replaced(v.theta, group.entries, value))
+    delta = np.array(v.delta, np.float32)
+    delta[group.support - 1, list(group.entries)] = value
+    return v._replace(delta=delta)
 
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:

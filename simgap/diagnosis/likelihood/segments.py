@@ -28,8 +28,8 @@ PAD = 16
 class Chunks(NamedTuple):
     """Sessions cut into C chunks of T = RUN_IN + LENGTH + 1 rows.
 
-    past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: where gated constants
-    act, 0 or 1. session: index into the recordings; row: of the chunk's first row in its session.
+    past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: 1 where support s
+    is open, else 0. session: index into the recordings; row: of the chunk's first row in its session.
     """
 
     state: Float[Array, "C T s"]
@@ -39,7 +39,7 @@ class Chunks(NamedTuple):
     time_s: Float[Array, "C T"]
     interval: Float[Array, "C T"]
     counts: Bool[Array, "C T-1"]
-    gate: Float[Array, "C T"]
+    gate: Float[Array, "C S T"]
     session: Int[np.ndarray, " C"]
     row: Int[np.ndarray, " C"]
 
@@ -85,7 +85,7 @@ def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Ch
             # At a session's start a few rows are let in: the estimate begins at a measured state.
             counted = (successor > max(first, 2)) & (successor <= min(first + LENGTH, steps))
             parts.append((r.state[index], r.command[index], *sent_before(r.command, start),
-                          r.time_s[index] - r.time_s[0], interval[index], counted, np.ones(rows), s,
+                          r.time_s[index] - r.time_s[0], interval[index], counted, np.ones((1, rows)), s,
                           start))  # fmt: skip
     while len(parts) % PAD or len(parts) < least:
         *arrays, counted, gate, s, start = parts[0]

@@ -14,8 +14,7 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut, sent_before
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.validation.black_box import silent
-from simgap.diagnosis.validation.forecast import forecast
-from simgap.effects.regime import Regime
+from simgap.diagnosis.validation.forecast import Regimes, forecast
 from simgap.layout import motion
 from simgap.types import Recording
 
@@ -44,7 +43,7 @@ class NoExperiment(NamedTuple):
 
 
 def design(
-    problem: Problem, a: Fit, b: Fit, about: Sequence[Candidate], regime: Regime, recordings: list[Recording]
+    problem: Problem, a: Fit, b: Fit, about: Sequence[Candidate], regimes: Regimes, recordings: list[Recording]
 ) -> Experiment | NoExperiment:
     """The sequence, of a library of steps, reversals, ramps and sweeps of each command, that separates a from b most.
 
@@ -60,7 +59,7 @@ def design(
     library = [(words, u) for words, u in _library(problem, rows, limits) if u[:, asked].any()]
     if not library:
         return NoExperiment("nothing can be commanded that these explanations depend on")
-    seen = _forecast(problem, a, [u for _, u in library], regime, recordings)
+    seen = _forecast(problem, a, [u for _, u in library], regimes, recordings)
     possible = _within(problem, seen, recordings)
     if not possible.any():
         return NoExperiment("no sequence of commands keeps the simulated robot within what was recorded")
@@ -68,7 +67,7 @@ def design(
     if not possible.any():
         return NoExperiment(f"no sequence of commands moves {', '.join(sorted(outputs))} clearly beyond the noise")
     apart = np.where(possible, 0.0, -np.inf)
-    apart[possible] = _apart(problem, a, b, [(seen[i], library[i][1]) for i in np.flatnonzero(possible)], regime)
+    apart[possible] = _apart(problem, a, b, [(seen[i], library[i][1]) for i in np.flatnonzero(possible)], regimes)
     best = int(np.argmax(apart))
     if apart[best] < SETTLED:
         return NoExperiment(
@@ -79,7 +78,7 @@ def design(
 
 
 def _forecast(
-    problem: Problem, fit: Fit, commands: list[np.ndarray], regime: Regime, recordings: list[Recording]
+    problem: Problem, fit: Fit, commands: list[np.ndarray], regimes: Regimes, recordings: list[Recording]
 ) -> Float[np.ndarray, "n t s"]:
     """What a model would measure under sequences of commands, from rest."""
     rows, dt = len(commands[0]), problem.scales.time_step
@@ -87,11 +86,11 @@ def _forecast(
     parts = [
         (np.repeat(state[None], RUN_IN + rows + 1, 0), np.concatenate([still, u, u[-1:]]),
          *sent_before(still, 0), np.arange(RUN_IN + rows + 1) * dt, np.ones(RUN_IN + rows + 1),
-         np.ones(RUN_IN + rows, bool), np.ones(RUN_IN + rows + 1), 0, 0)
+         np.ones(RUN_IN + rows, bool), np.ones((len(regimes), RUN_IN + rows + 1)), 0, 0)
         for u in commands
     ]  # fmt: skip
     box = silent(problem.augmented.layout)
-    return forecast(problem.augmented, problem.scales, fit.v, as_chunks(parts), box, regime)
+    return forecast(problem.augmented, problem.scales, fit.v, as_chunks(parts), box, regimes)
 
 
 def _moves(
@@ -103,7 +102,7 @@ def _moves(
 
 
 def _apart(
-    problem: Problem, a: Fit, b: Fit, simulated: Sequence[tuple[np.ndarray, np.ndarray]], regime: Regime
+    problem: Problem, a: Fit, b: Fit, simulated: Sequence[tuple[np.ndarray, np.ndarray]], regimes: Regimes
 ) -> Float[np.ndarray, " n"]:
     """Log-likelihood ratio [nats] of a over b on what a would measure, by the noise that the recordings leave a.
 
@@ -120,7 +119,7 @@ def _apart(
     found = []
     for first in range(0, len(sessions), at_once):
         chunks = cut(sessions[first : first + at_once], dt, least)
-        gate = np.asarray(inside(problem.augmented.layout, regime, chunks), np.float32)
+        gate = np.stack([inside(problem.augmented.layout, r, chunks) for r in regimes], axis=1).astype(np.float32)
         there = problem._replace(chunks=chunks._replace(gate=gate))
         ends = np.cumsum(np.asarray(chunks.counts).sum(1))
         of = np.repeat(chunks.session, np.diff(ends, prepend=0))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import Candidate, unit_of
 from simgap.diagnosis.inference.score_test import vary
-from simgap.diagnosis.likelihood.problem import Fit, Problem, raw_innovations, trials
+from simgap.diagnosis.likelihood.problem import Fit, Problem, raw_innovations, trials, value_of
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, counted
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.report.experiment import Experiment
@@ -99,7 +99,7 @@ def _told_by(x: np.ndarray, y: np.ndarray) -> float:
 def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
     """Log-likelihood along the effect's first constant, all else held."""
     group, constant = candidate.groups[0], candidate.effect.constants[0]
-    c = [float((fit.v.gated if g.gated else fit.v.theta)[g.entries[0]]) for g in candidate.groups]
+    c = [value_of(fit.v, g) for g in candidate.groups]
     low, high = (float(b[group.entries[0]]) for b in problem.augmented.bounds)
     span = np.linspace(max(0.4 * c[0], low) if c[0] > 0 else max(1.6 * c[0], low),
                        min(1.6 * c[0], high) if c[0] > 0 else min(0.4 * c[0], high), PROFILE)  # fmt: skip

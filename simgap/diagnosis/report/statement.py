@@ -32,7 +32,7 @@ from simgap.diagnosis.validation import black_box, scores
 from simgap.diagnosis.validation.adequacy import Verdict
 from simgap.diagnosis.validation.scores import Contestant, Judgement
 from simgap.diagnosis.validation.sensitivity import Sensitivity
-from simgap.effects.regime import EVERYWHERE, features
+from simgap.effects.regime import features
 from simgap.effects.regime import words as rule
 from simgap.types import Recording
 
@@ -219,12 +219,12 @@ def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> 
 
 
 def _regimes(found: Explanation, where: localisation.Excess) -> list[dict[str, Any]]:
-    """The regime to which an effect is restricted, then those that hold most of the excess."""
-    layout, told = found.problem.augmented.layout, localisation.regimes(where)
-    if found.regime == EVERYWHERE:
-        return told
-    name = features(layout)[found.regime.feature].name
-    return [localisation.share(where, layout, found.regime), *(r for r in told if not r["when"].startswith(f"{name} "))]
+    """The regimes to which effects are restricted, then those of other features that hold most of the excess."""
+    layout, excess = found.problem.augmented.layout, localisation.regimes(where)
+    own = list(dict.fromkeys(m.when.regime for m in found.members if m.when is not None and m.when.regime is not None))
+    names = tuple(f"{features(layout)[regime.feature].name} " for regime in own)
+    others = (r for r in excess if not r["when"].startswith(names))
+    return [*(localisation.share(where, layout, regime) for regime in own), *others]
 
 
 def _intervals(found: Explanation, where: localisation.Excess, fitted: Sequence[Recording]) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, corrected, gain_matrix, wrap
+from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, wrap
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
 from simgap.diagnosis.validation.black_box import BlackBox, correct
 from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
@@ -28,18 +28,22 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
         interval = np.append(np.diff(r.time_s) / time_step, 1.0)
         for first in range(0, len(r.time_s) - rows + 1, stride):
             index = np.arange(first, first + rows)
-            parts.append((r.state[index], r.command[index], *sent_before(r.command, first),
-                          r.time_s[index] - r.time_s[0], interval[index], np.ones(rows - 1, bool), np.ones(rows), s,
-                          first))  # fmt: skip
+            times = r.time_s[index] - r.time_s[0], interval[index]
+            always = np.ones(rows - 1, bool), np.ones((1, rows))
+            parts.append((r.state[index], r.command[index], *sent_before(r.command, first), *times, *always, s, first))
     return as_chunks(parts) if parts else None
 
 
+Regimes = tuple[Regime, ...]
+"""Of every support; `EVERYWHERE` where it has none."""
+
+
 def forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regime: Regime = EVERYWHERE
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regimes: Regimes = (EVERYWHERE,)
 ) -> Float[np.ndarray, "W h s"]:
     """Predicted measurements of the rows after each piece's run-in, to which `box` adds; nothing corrects them.
 
-    Gated constants act where the gate is open and the robot is, as predicted, in the regime.
+    What has a support acts where its gate is open and the robot is, as predicted, in its regime.
     """
     count = len(pieces.row)
     parts = []
@@ -47,23 +51,30 @@ def forecast(
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + PIECES), count - 1)
         some = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
-        parts.append(_forecast(augmented, scales, v, some, box, regime)[: count - first])
+        parts.append(_forecast(augmented, scales, v, some, box, regimes)[: count - first])
     return np.concatenate(parts)
 
 
 def _forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regime: Regime
+    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regimes: Regimes
 ) -> Float[np.ndarray, "W h s"]:
     steps = pieces.state.shape[1] - 1
     trust = np.broadcast_to(np.arange(steps) < RUN_IN, (PIECES, steps)).astype(np.float32)
     times = (pieces.time_s[:, :-1], pieces.time_s[:, 1:])
-    rows = (pieces.state[:, 1:], pieces.command[:, :-1], *times, pieces.interval[:, :-1], pieces.gate[:, :-1], trust)
+    rows = (
+        pieces.state[:, 1:],
+        pieces.command[:, :-1],
+        *times,
+        pieces.interval[:, :-1],
+        np.swapaxes(pieces.gate[..., :-1], 1, 2),
+        trust,
+    )
     going = _begin(augmented, v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
     parts = []
     for first in range(0, steps, SEGMENT):
         # The last segment is filled up by repetition.
         index = np.minimum(np.arange(first, first + SEGMENT), steps - 1)
-        going, seen = _go_on(augmented, scales, v, box, regime, going, tuple(a[:, index] for a in rows))
+        going, seen = _go_on(augmented, scales, v, box, regimes, going, tuple(a[:, index] for a in rows))
         parts.append(np.asarray(seen))
     return np.concatenate(parts, axis=1)[:, RUN_IN:steps]
 
@@ -81,7 +92,7 @@ def _begin(
     time_s: Float[Array, " W"],
     turns: Float[Array, "W m u"],
 ) -> _Going:
-    active = augmented.active(v.theta, v.gated)
+    active = augmented.active(v.theta, *v.delta)
 
     def one(state: Array, past: Array, time_s: Array, turns: Array) -> tuple[Memory, Array]:
         first = unsense(augmented, v.theta, state, time_s)
@@ -96,17 +107,18 @@ def _go_on(
     scales: Scales,
     v: Variables,
     box: BlackBox,
-    regime: Regime,
+    regimes: Regimes,
     going: _Going,
     rows: tuple[Array, ...],
 ) -> tuple[_Going, Float[Array, "W t s"]]:
     phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
-    active = augmented.active(v.theta, v.gated)
+    active = augmented.active(v.theta, *v.delta)
 
     def row(carry, now):
         memory, x = carry
         y_next, u, time_s, next_s, interval, gate, trust = now
-        theta = v.theta + gate * holds(augmented.layout, regime, x, u) * v.gated
+        there = [gate[s] * holds(augmented.layout, regime, x, u) for s, regime in enumerate(regimes)]
+        theta = acting(v, v.theta, there)
         sent = jnp.concatenate([u[None], memory.commands])
         added = correct(augmented.layout, box, x, sent)
         here = Row(time_s, interval)

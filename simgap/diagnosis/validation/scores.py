@@ -17,8 +17,8 @@ from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
 from simgap.diagnosis.validation.black_box import BlackBox, silent
-from simgap.diagnosis.validation.forecast import forecast, windows
-from simgap.effects.regime import EVERYWHERE, Regime
+from simgap.diagnosis.validation.forecast import Regimes, forecast, windows
+from simgap.effects.regime import EVERYWHERE
 from simgap.layout import Layout, X, Y, Z
 from simgap.types import Recording
 
@@ -32,11 +32,11 @@ RUN = 10
 
 
 class Contestant(NamedTuple):
-    """A model to be judged: its variables, what a black box adds, and the regime in which its gated constants act."""
+    """A model to be judged: its variables, what a black box adds, and the regimes of its supports."""
 
     v: Variables
     box: BlackBox | None = None
-    regime: Regime = EVERYWHERE
+    regimes: Regimes = (EVERYWHERE,)
 
 
 class Judged(NamedTuple):
@@ -99,7 +99,7 @@ def _measured(pieces: Chunks) -> np.ndarray:
 def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
     """Predicted measurements [n, horizon, s] after each piece's run-in."""
     box = contestant.box if contestant.box is not None else silent(problem.augmented.layout)
-    return forecast(problem.augmented, problem.scales, contestant.v, pieces, box, contestant.regime)
+    return forecast(problem.augmented, problem.scales, contestant.v, pieces, box, contestant.regimes)
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:

@@ -39,7 +39,7 @@ def theta(constants: Mapping[tuple[str, int, int], float]) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames="rows")
-def _run(key, theta, during, from_s, to_s, regime, lost, phi, noise, rows):
+def _run(key, theta, during, from_s, to_s, regime, there, its_regime, lost, phi, noise, rows):
     config = operator.OperatorConfig()
     key_start, lost_key, key = jax.random.split(key, 3)
     pose = jnp.array([2.0, 2.0, 3.0]) * jax.random.uniform(key_start, (3,), minval=-1)
@@ -59,6 +59,7 @@ def _run(key, theta, during, from_s, to_s, regime, lost, phi, noise, rows):
         op, u = operator.step(op, measured, k2, 1 / 15, config)
         acts = (time_s >= from_s) & (time_s < to_s) & holds(SPOT.layout, regime, state, u)
         constants = theta + jnp.where(acts, 1.0, 0.0) * during
+        constants = constants + jnp.where(holds(SPOT.layout, its_regime, state, u), 1.0, 0.0) * there
         # Lost commands come in bursts of four rows.
         k4 = jax.random.fold_in(lost_key, (time_s * 15).astype(int) // 4)
         acted = jnp.where(jax.random.uniform(k4) < lost, sent, u)
@@ -81,11 +82,12 @@ def _run(key, theta, during, from_s, to_s, regime, lost, phi, noise, rows):
 
 def recordings(
     constants, seed=0, sessions=8, rows=600, noise=1.0, phi=PHI, during=None, from_s=0.0, to_s=np.inf, only=None,
-    regime: Regime = EVERYWHERE, lost: float | np.ndarray = 0.0,
+    regime: Regime = EVERYWHERE, lost: float | np.ndarray = 0.0, there=None, its_regime: Regime = EVERYWHERE,
 ) -> list[Recording]:  # fmt: skip
     """Sessions of an operated Spot with effects planted; `noise` scales process and sensor noise.
 
     `during` are constants that hold from `from_s` to `to_s` and in a regime besides, in session `only` if it is given;
+    `there` are constants that hold in a regime of their own;
     `lost` is the share of commands that are lost, in bursts: of all channels, or of each.
     """
     out = []
@@ -93,7 +95,8 @@ def recordings(
         key = jax.random.fold_in(jax.random.key(seed), s)
         more = theta(during or {}) * (only in (None, s))
         planted = (jnp.asarray(a) for a in (theta(constants), more))
-        y, u = _run(key, *planted, from_s, to_s, regime, jnp.asarray(lost), jnp.asarray(phi), noise, rows)
+        second = jnp.asarray(theta(there or {})), its_regime
+        y, u = _run(key, *planted, from_s, to_s, regime, *second, jnp.asarray(lost), jnp.asarray(phi), noise, rows)
         out.append(Recording(f"s{s}", np.arange(rows) / 15, np.asarray(y, np.float64), np.asarray(u, np.float64)))
     return out
 

@@ -60,7 +60,7 @@ def proposed(model: Model, one: tuple[str, float], other: tuple[str, float], rec
         evaluate(model.problem, vary(model.fit.v, c, (size,)), c.groups, model.fit.noise)
         for c, (_, size) in zip(about, (one, other), strict=True)
     ]
-    return design(model.problem, fits[0], fits[1], about, EVERYWHERE, recordings)
+    return design(model.problem, fits[0], fits[1], about, (EVERYWHERE,), recordings)
 
 
 def test_it_moves_the_channel_that_the_question_is_about(pair: Model) -> None:
@@ -76,7 +76,7 @@ def test_a_difference_in_another_channel_is_no_experiment_about_this_one(pair: M
     about = [known(pair.problem, name) for name in ("coulomb_friction on right_v", "viscous_drag on right_v")]
     left = known(pair.problem, "coulomb_friction on left_v")
     fits = [evaluate(pair.problem, vary(pair.fit.v, left, (size,)), left.groups, pair.fit.noise) for size in (0.0, 1.0)]
-    found = design(pair.problem, fits[0], fits[1], about, EVERYWHERE, side_by_side())
+    found = design(pair.problem, fits[0], fits[1], about, (EVERYWHERE,), side_by_side())
     if isinstance(found, Experiment):
         assert np.abs(found.commands[:, 1]).max() > 0
 

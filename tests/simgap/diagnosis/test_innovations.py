@@ -225,7 +225,7 @@ def test_tangents_agree_with_finite_differences() -> None:
     got = np.asarray(tangents(SPOT, SCALES, v, phi, gain, cross, chunks))
     h = 3e-3
     for i, tangent in enumerate(got[:3]):
-        along = Variables(phi[i], gain[i], cross[i], 0 * v.theta, 0 * v.gated)
+        along = Variables(phi[i], gain[i], cross[i], 0 * v.theta, 0 * v.delta)
         ahead, back = (
             innovations(SPOT, SCALES, jax.tree.map(lambda a, b, s=s: a + s * b, v, along), chunks) for s in (h, -h)
         )

@@ -113,11 +113,11 @@ def test_a_change_since_a_baseline_has_its_derivative_where_it_is_negative() -> 
     of = posed(Drive(), driven((2.5, 5.0)))
     drag = known(of, "viscous_drag on velocity")
     everywhere = vary(start(of), drag, (1.0,))
-    changed = drag.groups[0]._replace(gated=True)
-    theta = np.zeros_like(everywhere.gated)
-    theta[list(changed.entries)] = -0.5
+    changed = drag.groups[0]._replace(support=1)
+    delta = np.zeros_like(everywhere.delta)
+    delta[0, list(changed.entries)] = -0.5
     of = of._replace(chunks=of.chunks._replace(gate=np.ones_like(of.chunks.gate)))
-    (column,) = constant_columns(of, everywhere._replace(gated=theta), (changed,))
+    (column,) = constant_columns(of, everywhere._replace(delta=delta), (changed,))
     (same,) = constant_columns(of, vary(start(of), drag, (0.5,)), drag.groups)
     assert np.linalg.norm(column - same) < 0.02 * np.linalg.norm(same)
 

@@ -12,6 +12,7 @@ from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.heldout import agrees
 from simgap.diagnosis.inference.score_test import Screened
 from simgap.diagnosis.inference.select import promising
+from simgap.diagnosis.likelihood.problem import value_of
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.effects import CATALOGUE
 from simgap.effects.regime import Regime, features
@@ -179,7 +180,7 @@ def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
         low, high = edge["ci95"]
         assert low <= truth <= high
         assert high - low < 1.0
-    assert float(found.fit.v.gated[member.candidate.groups[0].entries[0]]) == pytest.approx(0.25, rel=0.15)
+    assert value_of(found.fit.v, member.candidate.groups[0]) == pytest.approx(0.25, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -198,8 +199,7 @@ def test_what_is_nothing_over_all_sessions_is_found_with_its_beginning(
     assert member.when is not None
     assert member.when.session == session
     assert member.when.from_s == pytest.approx(from_s, abs=0.2)
-    gated = float(found.fit.v.gated[member.candidate.groups[0].entries[0]])
-    assert gated == pytest.approx(constant, rel=0.15)
+    assert value_of(found.fit.v, member.candidate.groups[0]) == pytest.approx(constant, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -218,16 +218,34 @@ def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, 
     found = explain(*sessions({}, RICH, during=planted, regime=regime))
     (member,) = found.members
     assert member.candidate.effect.key == key
-    assert found.when is not None
-    assert found.when == member.when
-    truth, told = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, found.regime))
+    assert found.supports == (member.when,)
+    truth, told = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, *found.regimes))
     assert (truth & told).sum() > 0.85 * (truth | told).sum()
-    value, sd = float(found.fit.v.gated[member.candidate.groups[0].entries[0]]), found.sd.constants[0]
+    value, sd = value_of(found.fit.v, member.candidate.groups[0]), found.sd.constants[0]
     assert value == pytest.approx(constant, abs=max(0.1 * abs(constant), 3 * sd))
     acts = found.acting(found.known())
-    assert acts.regime == found.regime
+    assert acts.regimes == found.regimes
     assert not acts.theta.any()
-    assert acts.within.any()
+    assert acts.delta.any()
+
+
+def test_two_effects_that_act_in_two_regimes_at_the_same_time_are_found_with_both() -> None:
+    names = [f.name for f in features(SPOT.layout)]
+    far, turning = Regime(names.index("reach"), 1.0, 0.8), Regime(names.index("base |yaw rate|"), 1.0, 0.3)
+    late, dragged = acting("gain", (-0.35,), (4,)), acting("viscous_drag", (0.35,), (1,))
+    found = explain(*sessions({}, RICH, during=late, regime=far, there=dragged, its_regime=turning))
+    by_key = {m.candidate.effect.key: m for m in found.members}
+    assert set(by_key) == {"gain", "viscous_drag"}
+    for key, regime, constant in (("gain", far, -0.35), ("viscous_drag", turning, 0.35)):
+        member = by_key[key]
+        assert member.when in found.supports
+        assert member.when is not None
+        assert member.when.regime is not None
+        truth, said = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, member.when.regime))
+        assert (truth & said).sum() > 0.85 * (truth | said).sum()
+        assert value_of(found.fit.v, member.candidate.groups[0]) == pytest.approx(constant, rel=0.2)
+    acts = found.acting(found.fit)
+    assert len(acts.regimes) == len(acts.delta) == 2
 
 
 @pytest.mark.parametrize("reach", [1.1, 1.13])

@@ -17,7 +17,7 @@ from simgap.diagnosis.inference.impulse_response import direction, echoes, evide
 from simgap.diagnosis.inference.model import Model
 from simgap.diagnosis.inference.nonparametric import Law, unnamed
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Problem, evaluate, replaced, start, trials, whitening
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, trials, whitening, with_value
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.effects.augmented import Augmented
@@ -37,9 +37,9 @@ def law_in(recorded: list[Recording], seed: int = 0) -> Law:
 
 
 def drifting(of: Problem, v: Variables, where: str, size: float) -> Variables:
-    """With a drift where the gate is open."""
+    """With a drift where the support is open."""
     (drift,) = (c for c in candidates(of.augmented, of.scales) if c.name == f"body_frame_bias on {where}")
-    return v._replace(gated=replaced(v.gated, drift.groups[0].entries, size))
+    return with_value(v, drift.groups[0]._replace(support=1), size)
 
 
 @pytest.mark.parametrize("where", ["base_vx", "base_wz", "ee_vz"])
@@ -49,7 +49,7 @@ def test_echoes_add_up_to_what_pushes_change_in_a_run(where: str) -> None:
     v, push = start(of), np.random.default_rng(0).normal(size=of.chunks.gate.shape).astype(np.float32)
     open_by = of._replace(chunks=of.chunks._replace(gate=jnp.asarray(push)))
     ran = (trials(open_by, [drifting(of, v, where, 0.01)])[0] - trials(of, [v])[0]) / 0.01
-    (made,) = direction(of, echoes(of, v)[where], [push[:, :-1]])
+    (made,) = direction(of, echoes(of, v)[where], [push[:, 0, :-1]])
     assert np.linalg.norm(made - ran) < 0.03 * np.linalg.norm(ran)
 
 
@@ -59,11 +59,11 @@ def test_along_the_worlds_axes_a_push_is_the_same_whichever_way_the_robot_looks(
     heading = np.asarray(of.chunks.state)[:, :, 2]
     ahead, across = np.cos(heading), -np.sin(heading)
     ran = sum(
-        (trials(of._replace(chunks=of.chunks._replace(gate=jnp.asarray(push))), [drifting(of, v, where, 0.01)])[0]
+        (trials(of._replace(chunks=of.chunks._replace(gate=push[:, None])), [drifting(of, v, where, 0.01)])[0]
          - trials(of, [v])[0]) / 0.01
-        for where, push in (("base_vx", ahead), ("base_vy", across))
+        for where, push in (("base_vx", jnp.asarray(ahead)), ("base_vy", jnp.asarray(across)))
     )  # fmt: skip
-    (made,) = direction(of, echoes(of, v)["base along the world's x"], [np.ones(of.chunks.gate.shape)[:, :-1]])
+    (made,) = direction(of, echoes(of, v)["base along the world's x"], [np.ones(of.chunks.gate.shape)[:, 0, :-1]])
     assert np.linalg.norm(made - ran) < 0.05 * np.linalg.norm(ran)
 
 
@@ -73,7 +73,7 @@ def test_what_is_heard_of_pushes_is_what_their_directions_say() -> None:
     n, s = evaluate(of, v, ()).e.shape
     root, residual = rng.uniform(0.5, 2.0, (n, s)).astype(np.float32), rng.normal(size=n * s).astype(np.float32)
     basis = np.linalg.qr(rng.normal(size=(n * s, 5)))[0].astype(np.float32)
-    push, echo = rng.normal(size=of.chunks.gate.shape)[:, :-1], echoes(of, v)["ee_vy"]
+    push, echo = rng.normal(size=of.chunks.gate.shape)[:, 0, :-1], echoes(of, v)["ee_vy"]
     score, power, _ = evidence(hear(of, echo, root, residual, basis), [push])
     d = (direction(of, echo, [push])[0] * root).reshape(-1)
     assert score.sum() == pytest.approx(-d @ residual, rel=1e-3)

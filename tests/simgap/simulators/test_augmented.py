@@ -109,13 +109,33 @@ def test_a_biased_output_changes_as_the_true_one_does() -> None:
 def test_in_a_regime_other_constants_hold() -> None:
     outside, inside = with_effects(delay=1.0), with_effects(delay=2.0, viscous_drag=0.1)
     reach = [f.name for f in features(outside.augmented.layout)].index("reach")
-    acting = Acting(outside.acting.theta, inside.acting.theta, Regime(reach, 1.0, 0.8))
+    delta = inside.acting.theta - outside.acting.theta
+    acting = Acting(outside.acting.theta, delta[None], (Regime(reach, 1.0, 0.8),))
     simulator = AugmentedSimulator.of(SPOT, acting, scales())
     far = np.linalg.norm(X[:, 7:9] - X[:, :2], axis=1) > 0.8
     assert 5 < far.sum() < 45
     expected = np.where(far[:, None], differences(inside), differences(outside))
     np.testing.assert_allclose(differences(simulator), expected, atol=1e-6)
     assert set(simulator.effects) == {"delay", "viscous_drag"}
+
+
+def test_effects_in_two_regimes_add_up_where_both_hold() -> None:
+    names = [f.name for f in features(Augmented(SPOT).layout)]
+    far, fast = Regime(names.index("reach"), 1.0, 0.8), Regime(names.index("base speed"), 1.0, 0.5)
+    plain, late, dragged = with_effects(), with_effects(delay=1.0), with_effects(viscous_drag=0.1)
+    acting = Acting(plain.acting.theta, np.stack([late.acting.theta, dragged.acting.theta]), (far, fast))
+    simulator = AugmentedSimulator.of(SPOT, acting, scales())
+    x = np.asarray(X)
+    is_far = np.linalg.norm(x[:, 7:9] - x[:, :2], axis=1) > 0.8
+    is_fast = np.linalg.norm(x[:, 4:6], axis=1) > 0.5
+    expected = np.asarray(differences(plain)).copy()
+    for where, there in (
+        (is_far & ~is_fast, late), (~is_far & is_fast, dragged),
+        (is_far & is_fast, with_effects(delay=1.0, viscous_drag=0.1)),
+    ):  # fmt: skip
+        assert where.any()
+        expected[where] = np.asarray(differences(there))[where]
+    np.testing.assert_allclose(differences(simulator), expected, atol=1e-6)
 
 
 def test_it_is_known_when_compiled_and_differentiable_in_the_parameters() -> None:
