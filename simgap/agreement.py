@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from simgap.layout import AXES, Layout, X, Y, commanded, motion
+from simgap.kinematics import commanded, motion
+from simgap.layout import AXES, Layout, X, Y
 from simgap.survey import leading
 from simgap.types import Recording, Schema
 

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site, channel_sites
-from simgap.layout import Layout, X, Y, placed, substituted
+from simgap.kinematics import placed, substituted
+from simgap.layout import Layout, X, Y
 from simgap.types import StepModel
 
 _U = Float[Array, " u"]

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Site, Step, body_sites, mounted, turning
-from simgap.layout import YAW, Layout, X, Y, on_body, rigid
+from simgap.kinematics import on_body, rigid
+from simgap.layout import YAW, Layout, X, Y
 
 
 def _carriers(layout: Layout) -> list[tuple[int, int]]:

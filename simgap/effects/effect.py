@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.layout import Layout, Motion, on_body
+from simgap.kinematics import Motion, on_body
+from simgap.layout import Layout
 
 Place = Literal["command", "filter", "before", "push", "after", "sensing"]
 HISTORY_ROWS = 8

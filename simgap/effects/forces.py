@@ -18,7 +18,8 @@ from simgap.effects.effect import (
     turning,
 )
 from simgap.effects.resistance import speed
-from simgap.layout import YAW, Layout, X, Y, Z, commanded, on_body, placed, rigid
+from simgap.kinematics import commanded, on_body, placed, rigid
+from simgap.layout import YAW, Layout, X, Y, Z
 
 
 def _lifted(layout: Layout) -> list[int]:

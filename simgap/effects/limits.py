@@ -5,7 +5,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, floored, reaching
-from simgap.layout import Layout, X, Y, Z, commanded, on_body, substituted
+from simgap.kinematics import commanded, on_body, substituted
+from simgap.layout import Layout, X, Y, Z
 
 FURTHER = (0.15, 0.3, 0.5, 0.75)
 """Shares of the way from what is usual to the extreme at which a limit that few rows reach may stand."""

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from simgap.layout import YAW, Layout, Motion, Z, motion
+from simgap.kinematics import Motion, motion
+from simgap.layout import YAW, Layout, Z
 
 
 class Regime(NamedTuple):

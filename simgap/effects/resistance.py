@@ -4,7 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Scales, Step, axis_sites, body_sites, on_axes, turning
-from simgap.layout import YAW, X, Y, on_body
+from simgap.kinematics import on_body
+from simgap.layout import YAW, X, Y
 
 
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:

@@ -5,7 +5,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Row, Scales, Site
-from simgap.layout import Layout, wrapped
+from simgap.kinematics import wrapped
+from simgap.layout import Layout
 
 
 def _output_sites(layout: Layout) -> tuple[Site, ...]:

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Row, Scales, Site, body_sites, mounted
-from simgap.layout import YAW, Layout, X, Y, carried_velocity, placed, turned, wrapped
+from simgap.kinematics import carried_velocity, placed, turned, wrapped
+from simgap.layout import YAW, Layout, X, Y
 
 _S = Float[Array, " s"]
 MISTIMED = 0.3

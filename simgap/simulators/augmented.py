@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
+from simgap.effects.augmented import Augmented
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Place, Row, Scales
 from simgap.effects.regime import Acting, Regime, holds
+from simgap.effects.step import advance, remember, sense, unsense
 from simgap.recordings import HISTORY
 from simgap.types import Parameter, Schema, Simulator
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from examples.car import CAR
 from examples.drive import DRIVE
-from simgap.layout import Layout, carried_velocity, commanded, motion, push, rotated, turned
+from simgap.kinematics import carried_velocity, commanded, motion, push, rotated, turned
+from simgap.layout import Layout
 from simgap.simulators.spot import SCHEMA as SPOT_SCHEMA
 from simgap.types import Field, Schema
 

@@ -7,7 +7,8 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.effects.regime import Regime, holds, values
-from simgap.layout import Layout, motion
+from simgap.kinematics import motion
+from simgap.layout import Layout
 
 
 def of_rows(layout: Layout, chunks: Chunks) -> Float[np.ndarray, "n f"]:

@@ -13,7 +13,8 @@ from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations, replaced, row_trials
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Slot
-from simgap.layout import Layout, motion
+from simgap.kinematics import motion
+from simgap.layout import Layout
 
 STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Further nominal intervals that a late row may contain."""

@@ -20,9 +20,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks, bare
-from simgap.effects.augmented import Active, Augmented, Theta, advance, remember, sense, unsense
+from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
-from simgap.layout import Layout, rotated, wrapped
+from simgap.effects.step import advance, remember, sense, unsense
+from simgap.kinematics import rotated, wrapped
+from simgap.layout import Layout
 
 
 class Variables(NamedTuple):

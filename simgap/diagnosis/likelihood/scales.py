@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales, axis_indices, floored, reaching
-from simgap.layout import motion
+from simgap.kinematics import motion
 from simgap.types import Recording
 
 QUANTILES = np.linspace(0, 1, 21)

@@ -15,7 +15,7 @@ from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut,
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.validation.black_box import silent
 from simgap.diagnosis.validation.forecast import Regimes, forecast
-from simgap.layout import motion
+from simgap.kinematics import motion
 from simgap.types import Recording
 
 SECONDS = 6.0

@@ -16,7 +16,7 @@ from simgap.diagnosis.report.experiment import Experiment
 from simgap.diagnosis.report.localisation import Excess
 from simgap.diagnosis.validation.forecast import windows
 from simgap.diagnosis.validation.scores import Contestant, forecasts
-from simgap.layout import rotated
+from simgap.kinematics import rotated
 from simgap.types import Recording
 
 BINS = 16

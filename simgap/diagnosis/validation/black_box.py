@@ -17,7 +17,8 @@ from simgap.diagnosis.hypotheses.features import seen, seen_names
 from simgap.diagnosis.likelihood.filter import Variables, estimates_of
 from simgap.diagnosis.likelihood.problem import Problem, raw_innovations
 from simgap.diagnosis.likelihood.segments import counted
-from simgap.layout import Layout, rotated
+from simgap.kinematics import rotated
+from simgap.layout import Layout
 
 COMMANDS = 4
 """Rows of commands it sees: the present one and those before."""

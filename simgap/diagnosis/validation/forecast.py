@@ -11,9 +11,10 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, wrap
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
 from simgap.diagnosis.validation.black_box import BlackBox, correct
-from simgap.effects.augmented import Augmented, advance, remember, sense, unsense
+from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
+from simgap.effects.step import advance, remember, sense, unsense
 from simgap.types import Recording
 
 PIECES, SEGMENT = 64, 10

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from simgap.effects import CATALOGUE
-from simgap.effects.augmented import Augmented, Slot, advance, remember, sense
+from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import HISTORY_ROWS, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
-from simgap.layout import carried_velocity
+from simgap.effects.step import advance, remember, sense
+from simgap.kinematics import carried_velocity
 from simgap.robots import operator
 from simgap.simulators.spot import Spot
 from simgap.types import Recording

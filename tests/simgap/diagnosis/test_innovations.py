@@ -17,8 +17,9 @@ from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, gain
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import LENGTH, PAD, TURNS, WARM, as_chunks, cut, sent_before
 from simgap.effects import CATALOGUE
-from simgap.effects.augmented import Augmented, Slot, advance, remember
+from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import HISTORY_ROWS, Row
+from simgap.effects.step import advance, remember
 from simgap.types import Recording
 
 LET_IN = 24

@@ -16,10 +16,11 @@ from examples.car import CAR, Car
 from examples.drive import DRIVE
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE, resistance
-from simgap.effects.augmented import Augmented, Slot, advance, follow, sense, unsense
+from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.command_path import fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Step
-from simgap.layout import motion
+from simgap.effects.step import advance, follow, sense, unsense
+from simgap.kinematics import motion
 from simgap.simulators.spot import Spot
 from simgap.types import Recording
 

@@ -1,0 +1,156 @@
+"""One step of the augmented simulator: command path, memory, motion, and what sensors make of it."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from simgap.effects.augmented import Active, Augmented, Law, Theta, where
+from simgap.effects.command_path import NEVER, fading_of
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Memory, Row, Scales, Step, usual_push
+from simgap.kinematics import Motion, carried_velocity, motion, push, substituted
+
+
+def remember(
+    augmented: Augmented,
+    phi: Float[Array, " p"],
+    theta: Theta,
+    state: Float[Array, " s"],
+    past: Float[Array, "n u"],
+    time_s: Float[Array, ""],
+    turns: Float[Array, "m u"] | None = None,
+    active: Active = None,
+) -> Memory:
+    """Memory at a start: `past[k]` was sent k + 1 rows ago, n > HISTORY_ROWS; the state has been what it is.
+
+    Play and lags remember long: the command path runs over all past commands first. `turns`: where each command turned
+    before that, the latest first, for filters that outlast a rest; without it none did.
+    """
+    filters = augmented.laws(theta, active, "filter")
+    sent = past[::-1]
+    first = sent[HISTORY_ROWS - 1 :: -1]
+    states = jnp.tile(state, (SENSED_ROWS, 1))
+    row = Row(time_s, jnp.ones(()))
+    on_the_way = augmented.laws(theta, active, "command", "filter")
+    forgets = fading_of(augmented.simulator, augmented.layout, phi) if on_the_way else jnp.full_like(past[0], NEVER)
+
+    def run(memory: Memory, commands: Float[Array, "n u"]) -> Memory:
+        return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
+
+    def held(memory: Memory, turned: Float[Array, "m u"]) -> Memory:
+        # Each is taken to have been held, so that dead time does not matter.
+        still = lambda m, u: m._replace(commands=jnp.tile(u, (HISTORY_ROWS, 1)))  # noqa: E731
+        step = lambda m, u: (follow(augmented, theta, still(m, u), u, row, active)[0], None)  # noqa: E731
+        return jax.lax.scan(step, memory, turned)[0]
+
+    def settled() -> dict[str, Float[Array, " u"]]:
+        memory = Memory(first, {law.effect.key: first[0] for law in filters}, states, forgets)
+        if turns is not None:
+            began = memory._replace(filters=dict.fromkeys(memory.filters, turns[-1]))
+            outlasted = held(began, turns[::-1]).filters
+            lasting = {law.effect.key: outlasted[law.effect.key] for law in filters if law.effect.lasts}
+            memory = memory._replace(filters={**memory.filters, **lasting})
+        return run(memory, sent[HISTORY_ROWS:]).filters
+
+    nil = {law.effect.key: past[0] for law in filters}
+    return Memory(past[:HISTORY_ROWS], where(_any(filters), settled, nil), states, forgets)
+
+
+def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
+    """Whether one of them acts, None for yes."""
+    switches = [law.on for law in laws if law.on is not None]
+    return jnp.stack(switches).any() if switches else None
+
+
+def follow(
+    augmented: Augmented,
+    theta: Theta,
+    memory: Memory,
+    command: Float[Array, " u"],
+    row: Row,
+    active: Active = None,
+) -> tuple[Memory, Float[Array, " u"]]:
+    """The command that acts, and the memory with the command sent in it: places "command" and "filter".
+
+    The catalogue's order: dead time first, then what the actuators make of the command, their limits last.
+    """
+    u, filters = command, dict(memory.filters)
+    for law in augmented.laws(theta, active, "command", "filter"):
+        if law.effect.place == "command":
+            u = law(u, u, memory, row, augmented.layout)
+        else:
+            filters[law.effect.key], u = law((u, u), u, filters[law.effect.key], memory.fading)
+    commands = jnp.concatenate([command[None], memory.commands[:-1]])
+    return memory._replace(commands=commands, filters=filters), u
+
+
+def advance(
+    augmented: Augmented,
+    phi: Float[Array, " p"],
+    theta: Theta,
+    scales: Scales,
+    memory: Memory,
+    state: Float[Array, " s"],
+    command: Float[Array, " u"],
+    row: Row,
+    active: Active = None,
+) -> tuple[Memory, Float[Array, " s"]]:
+    """The next state and memory.
+
+    Command path (`follow`), then what velocity is remembered ("before"), the simulator's own step, the
+    pushes that the motion before and after it causes ("push"), the step again with them, and how positions advance and
+    what stops them ("after").
+    """
+    layout, simulator = augmented.layout, augmented.simulator
+    memory, u = follow(augmented, theta, memory, command, row, active)
+    start = state
+    for law in augmented.laws(theta, active, "before"):
+        start = law(start, start, layout, scales)
+
+    then, laws = simulator.step(phi, start, u), augmented.laws(theta, active, "push")
+
+    def pushed() -> Float[Array, " s"]:
+        now, expected = motion(layout, state), motion(layout, then)
+        nil = jnp.zeros_like(now.velocity)
+
+        def response() -> Float[Array, "b 4"]:
+            # Of the usual size: in other units a push of one is nothing beside the velocity's rounding.
+            size = usual_push(layout, scales)
+            du, dv, _ = push(layout, now.heading, size * jnp.ones_like(nil))
+            moved = simulator.step(phi, start, u + du) + dv
+            # The frames stay: a push that turns a body is none along its other axes.
+            for heading in {h for h in layout.heading if h is not None}:
+                moved = substituted(moved, heading, then[heading])
+            return (motion(layout, moved).velocity - expected.velocity) / size
+
+        def own() -> Motion:
+            return motion(layout, simulator.step(phi, start - carried_velocity(layout, start, start), u))
+
+        step = Step(now, expected, response, own, u, layout, scales, row)
+        du, dv, dp = push(layout, now.heading, sum((law(nil, step) for law in laws), nil))
+        return simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
+
+    if laws:
+        then = where(_any(laws), pushed, then)
+    for law in augmented.laws(theta, active, "after"):
+        then = law(then, state, then, layout, scales, row)
+    return memory._replace(states=jnp.concatenate([state[None], memory.states[:-1]])), then
+
+
+def sense(
+    augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], row: Row, active: Active = None
+) -> Float[Array, " s"]:
+    """What is measured of a state, given the states before it; `row` is its own."""
+    for law in augmented.laws(theta, active, "sensing"):
+        state = law(state, state, memory.states, row, augmented.layout)
+    return state
+
+
+def unsense(
+    augmented: Augmented, theta: Theta, measured: Float[Array, " s"], time_s: Float[Array, ""]
+) -> Float[Array, " s"]:
+    """The state at rest that gives a measurement: inverse of bias, its drift, and scale."""
+    found = {law.effect.key: law.c[0] for law in augmented.laws(theta, None, "sensing")}
+    bias = found.get("sensor_bias", 0.0) + found.get("sensor_bias.drift", 0.0) * time_s / 60
+    return (measured - bias) / (1 + found.get("sensor_scale", 0.0))
