@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import candidates
 from simgap.diagnosis.hypotheses.support import opened
-from simgap.diagnosis.inference.explain import Explanation, explain
+from simgap.diagnosis.inference.explain import explain
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import seen_at
 from simgap.diagnosis.inference.model import Say
 from simgap.diagnosis.inference.posterior import at_bound

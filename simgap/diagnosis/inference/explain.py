@@ -5,92 +5,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LIKELY, MOST_SUPPORTS
+from simgap.diagnosis.config import LEAST_SHARE, MOST_SUPPORTS
 from simgap.diagnosis.hypotheses.space import Candidate, behind, candidates, changed, within_session
 from simgap.diagnosis.hypotheses.support import When, opened, to_its_end
 from simgap.diagnosis.inference.alternatives import Member, defend, outshone
 from simgap.diagnosis.inference.disturbances import pushed
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import agrees, by_row, gain, seen_at
-from simgap.diagnosis.inference.model import Model, Round, Say, Tried, lacking, without
+from simgap.diagnosis.inference.model import Found, Model, Round, Say, Tried, lacking
 from simgap.diagnosis.inference.noise import scatter
-from simgap.diagnosis.inference.noise_effect import Scatter
-from simgap.diagnosis.inference.nonparametric import Law, no_law, unnamed
+from simgap.diagnosis.inference.nonparametric import no_law, unnamed
 from simgap.diagnosis.inference.onsets import acts_when, begins
-from simgap.diagnosis.inference.posterior import Spread, spread, told_from_nil
+from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.select import search
 from simgap.diagnosis.inference.two_sample import acted_before, behind_gate, differs, leaves, scatter_since
-from simgap.diagnosis.inference.whiteness import LeftOver, named_share
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
 from simgap.effects.augmented import Augmented
-from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
 from simgap.types import Recording, StepModel
-
-
-class Explanation(NamedTuple):
-    """The best explanation of the recordings.
-
-    as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
-    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over; law: one
-    beside them that has no name. unseen: the held-out rows, with the effects' supports. supports: when and where
-    effects act that do not act throughout. rounds: what was tried. baseline: number of its sessions; with any, what is
-    left over is what they do not leave as well, and no law without a name is looked for.
-    """
-
-    problem: Problem
-    as_is: Fit
-    base: Fit
-    fit: Fit
-    sd: Spread
-    members: tuple[Member, ...]
-    scattered: list[Scatter]
-    left: LeftOver
-    law: Law
-    unseen: Chunks
-    supports: tuple[When, ...]
-    rounds: list[Round]
-    baseline: int
-
-    def names(self, member: Member) -> bool:
-        """Whether an effect explains its outputs, rather than being the nearest word for something else.
-
-        A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do;
-        and what many names fit alike is likely something that has none.
-        """
-        if member.odds[member.candidate.effect.id] < LIKELY:
-            return False
-        nameless = np.maximum(self.left.nats, self.law.nats(self.fit))
-        share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
-        return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
-
-    @property
-    def anything(self) -> bool:
-        """Whether an effect was found, or something without a name."""
-        return bool(self.members or self.left.nats.any() or self.law.terms)
-
-    @property
-    def ids(self) -> set[str]:
-        """Of the effects found."""
-        return {m.candidate.effect.id for m in self.members}
-
-    @property
-    def regimes(self) -> tuple[Regime, ...]:
-        """Of every support; everywhere, where there is none, or it is a matter of time."""
-        return tuple(when.regime or EVERYWHERE for when in self.supports) or (EVERYWHERE,)
-
-    def acting(self, fit: Fit) -> Acting:
-        """The constants of a fit, as part of a simulator: what changed since a baseline acts in it as well, and what
-        acts in a regime acts there; what acts for a while only is no part of it."""
-        theta, delta = np.asarray(fit.v.theta), np.asarray(fit.v.delta)
-        if self.baseline and not self.supports:
-            return everywhere(theta + delta[0])
-        lasting = [s for s, when in enumerate(self.supports) if when.regime is not None]
-        return Acting(theta, delta[lasting], tuple(self.regimes[s] for s in lasting))
-
-    def known(self) -> Fit:
-        """The fit without the effects that are nearest words only; nothing is fitted anew."""
-        return without(self.fit, [group for m in self.members if not self.names(m) for group in m.candidate.groups])
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
@@ -104,10 +37,35 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
     return [r for i, r in enumerate(recordings) if i not in held], [r for i, r in enumerate(recordings) if i in held]
 
 
-def _acting_when(member: Member, supports: Sequence[When]) -> Member:
-    """With the support that it acts in."""
-    support = member.candidate.groups[0].support
-    return member._replace(when=supports[support - 1]) if support else member
+class _Asked(NamedTuple):
+    """What does not change during a search; baseline: number of its sessions, which come first."""
+
+    chunks: Chunks
+    unseen: Chunks
+    as_is: Fit
+    throughout: Sequence[Candidate]
+    events: Sequence[Candidate]
+    baseline: int
+    rng: np.random.Generator
+    say: Say
+
+
+class _Found(NamedTuple):
+    """The explanation so far; unseen: held-out rows with its supports."""
+
+    problem: Problem
+    unseen: Chunks
+    searched: Found
+    model: Model
+    members: tuple[Member, ...]
+    rounds: list[Round]
+    supports: tuple[When, ...] = ()
+
+    def bare(self, baseline: int) -> Model:
+        """The model without its effects."""
+        if baseline:
+            return lacking(self.model, [m.candidate for m in self.members])
+        return lacking(self.model._replace(fit=self.searched.base), [])
 
 
 def explain(
@@ -122,7 +80,6 @@ def explain(
     """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`, `ranges_hold` as in
     `Problem`."""
     augmented = Augmented(simulator)
-    layout = augmented.layout
     sessions = [*baseline, *training]
     scales, time_step = measure(augmented, sessions), simulator.time_step
     chunks = behind_gate(cut(sessions, time_step), len(baseline))
@@ -131,17 +88,56 @@ def explain(
     as_is = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(as_is.e))
     throughout, events = candidates(augmented, scales), candidates(augmented, scales, events=True)
-    hypotheses = throughout
+    asked = _Asked(chunks, unseen, as_is, throughout, events, len(baseline), rng, say)
     if baseline:
-        say(f"what the baseline of {len(baseline)} sessions shows by itself")
-        before = problem._replace(chunks=cut(baseline, time_step, least=len(chunks.row)))
-        # No session of the baseline is held out.
-        known = search(before, evaluate(before, as_is.v, ()), throughout, lambda *_: True, rng, say).model.fit
-        # Few sessions may say so little of parameters and gain that these explode on the others.
-        left = known.v, as_is.v._replace(theta=known.v.theta)
-        as_is = max((evaluate(problem, v, known.groups) for v in left), key=lambda fit: fit.loglik)
-        # Each is measured beside its twin: what both have and the baseline alone was too short to show is no change.
-        hypotheses = [changed(c) for c in throughout]
+        asked = asked._replace(as_is=_with_baseline(asked, problem, baseline))
+    say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
+    # A change is measured beside its twin: what both have and the baseline alone was too short to show is no change.
+    found = _look(asked, problem, unseen, [changed(c) for c in throughout] if baseline else throughout, ())
+    changes = bool(baseline and found.members)  # beside which nothing else is looked for
+    scattered = [] if changes else scatter(found.model.problem, found.model.fit, unseen)
+    looked_at, odd = found.model.fit, sum(s.gain for s in scattered if s.rare)
+    if not baseline:
+        # Odd rows would make up as much as a weak member gains.
+        model, members = outshone(found.model, found.members, odd, say)
+        found = _restricted(asked, found._replace(model=model, members=members), odd)
+    found, base = (found, None) if odd else _disturbed(asked, found, changes)
+    say("looking at the scatter that is left")
+    problem, fit, _ = found.model
+    if baseline:
+        scattered = scatter_since(found.model, training, baseline, found.unseen)
+    elif fit is not looked_at:
+        scattered = scatter(problem, fit, found.unseen)
+    # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains
+    # them better, though it may not hold in all sessions.
+    owed, rejected = LEAST_SHARE * sum(m.gain for m in found.members), found.searched.rounds[-1].rejected
+    scattered = [s for s in scattered if s.gain > (max(owed, rejected) if s.rare else owed)]
+    base = base or found.bare(len(baseline))
+    law = no_law(found.model, found.unseen) if baseline else unnamed(found.model, found.unseen, rng, say)
+    return Explanation(
+        problem, asked.as_is, base.fit, fit, spread(*found.model), found.members, scattered,
+        leaves(problem, fit, len(baseline)), law, found.unseen, found.supports,
+        [*found.searched.rounds, *found.rounds], len(baseline),
+    )  # fmt: skip
+
+
+def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:
+    """The simulator with the effects that the baseline shows by itself, evaluated on all sessions."""
+    asked.say(f"what the baseline of {len(baseline)} sessions shows by itself")
+    chunks = cut(baseline, problem.scales.time_step, least=len(asked.chunks.row))
+    before, v = problem._replace(chunks=chunks), asked.as_is.v
+    # No session of the baseline is held out.
+    always = lambda *_: True  # noqa: E731
+    known = search(before, evaluate(before, v, ()), asked.throughout, always, asked.rng, asked.say).model.fit
+    # Few sessions may say so little of parameters and gain that these explode on the others.
+    left = known.v, v._replace(theta=known.v.theta)
+    return max((evaluate(problem, v, known.groups) for v in left), key=lambda fit: fit.loglik)
+
+
+def _look(
+    asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Candidate], supports: tuple[When, ...]
+) -> _Found:
+    """Search for effects, each of which then defends its place against its alternatives."""
 
     def helps(problem: Problem, tried: Tried, owed: float) -> bool:
         # What acts in one session of training only is nothing to the others.
@@ -149,76 +145,68 @@ def explain(
         elsewhere = support and not np.asarray(unseen.gate)[:, support - 1].any()
         gained = by_row(tried.without, tried.fit)
         holds = elsewhere or agrees(gained, gain(problem, unseen, tried.without, tried.fit), problem.chunks, owed)
-        return holds and (not baseline or differs(problem, tried, len(baseline)))
+        return holds and (not asked.baseline or differs(problem, tried, asked.baseline))
 
-    say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
-    searched = search(problem, evaluate(problem, as_is.v, as_is.groups), hypotheses, helps, rng, say)
-    model, members, rounds = defend(searched, hypotheses, helps, rng, say)
-    changes = bool(baseline and members)  # beside which nothing else is looked for
-    scattered = [] if changes else scatter(model.problem, model.fit, unseen)
-    looked_at, odd = model.fit, sum(s.gain for s in scattered if s.rare)
-    if not baseline:  # which has odd rows as well, that would make up as much
-        model, members = outshone(model, members, odd, say)
+    as_is = asked.as_is
+    v = as_is.v._replace(delta=np.zeros((max(len(supports), 1), as_is.v.delta.shape[1]), np.float32))
+    searched = search(problem, evaluate(problem, v, as_is.groups), hypotheses, helps, asked.rng, asked.say)
+    model, members, rounds = defend(searched, hypotheses, helps, asked.rng, asked.say)
+    members = tuple(_acting_when(m, supports) for m in members)
+    return _Found(problem, unseen, searched, model, members, rounds, supports)
 
-    def within(support: int, when: When) -> list[Candidate]:
-        """Hypotheses that an effect acts there only."""
-        some = throughout
-        if when.session is not None:  # it may have been a push as well
-            drifts, pushes = within_session(throughout, events, to_its_end(rows_of(chunks), when))
-            some = [*drifts, *pushes]
-        return [behind(c, support) for c in some]
 
-    supports: list[When] = []
-    while not baseline and len(supports) < MOST_SUPPORTS:
-        when = acts_when(model, members, supports, unseen, say)
-        if not (members or odd):
-            when = begins(model, searched.rounds[0].screening, rng, say)
+def _acting_when(member: Member, supports: Sequence[When]) -> Member:
+    """With the support that it acts in; since a baseline, which is no such support, it acts throughout."""
+    support = member.candidate.groups[0].support
+    return member._replace(when=supports[support - 1]) if support and supports else member
+
+
+def _restricted(asked: _Asked, found: _Found, odd: float) -> _Found:
+    """With the times, stretches and regimes in which effects act that do not act throughout.
+
+    What acts for a while or in a regime only was looked for as if it acted throughout: every time the search starts
+    over, with all hypotheses throughout and in each of the supports.
+    """
+    layout = found.problem.augmented.layout
+    while len(found.supports) < MOST_SUPPORTS:
+        when = acts_when(found.model, found.members, found.supports, found.unseen, asked.say)
+        if not (found.members or odd):
+            when = begins(found.model, found.searched.rounds[0].screening, asked.rng, asked.say)
         if when is None:
-            break
-        # What acts for a while or in a regime only was looked for as if it acted throughout: look again.
-        before = problem, unseen, searched, model, members, rounds, supports
-        supports = [*supports, when]
-        problem = problem._replace(chunks=opened(layout, chunks, supports))
-        unseen = seen_at(layout, unseen, supports)
-        hypotheses = [*throughout, *(h for i, s in enumerate(supports, 1) for h in within(i, s))]
-        nominal = as_is.v._replace(delta=np.zeros((len(supports), as_is.v.delta.shape[1]), np.float32))
-        searched = search(problem, evaluate(problem, nominal, as_is.groups), hypotheses, helps, rng, say)
-        model, members, rounds = defend(searched, hypotheses, helps, rng, say)
-        members = tuple(_acting_when(m, supports) for m in members)
-        if not members or (len(supports) > 1 and not any(m.when == when for m in members)):
-            problem, unseen, searched, model, members, rounds, supports = before
-            break
+            return found
+        supports = (*found.supports, when)
+        hypotheses = [*asked.throughout, *(h for i, w in enumerate(supports, 1) for h in _within(asked, w, i))]
+        problem = found.problem._replace(chunks=opened(layout, asked.chunks, supports))
+        further = _look(asked, problem, seen_at(layout, asked.unseen, supports), hypotheses, supports)
+        if not further.members or (found.supports and not any(m.when == when for m in further.members)):
+            return found
+        found = further
+        if not any(m.when for m in found.members):
+            return found._replace(supports=(), unseen=asked.unseen)
+    return found
 
-    def bare() -> Model:
-        """The model without its effects."""
-        if baseline:
-            return lacking(model, [m.candidate for m in members])
-        return lacking(model._replace(fit=searched.base), [])
 
-    base = bare() if changes else None
-    if not odd:
-        # Odd rows look like pushes, one by one. And changes may be made up of one push.
-        with_push, those = pushed(base or model, () if changes else members, events, throughout, rng, say)
-        pays = not changes or with_push.fit.loglik > model.fit.loglik
-        if pays and not any(acted_before(m.when, len(baseline)) for m in those):
-            base = base if with_push is model else None
-            model, members = with_push, those
-    if not any(m.when in supports for m in members):
-        supports = [m.when for m in members if m.when]  # that of a push
-    unseen = seen_at(layout, unseen, supports)
-    say("looking at the scatter that is left")
-    if baseline:
-        scattered = scatter_since(model, training, baseline, unseen)
-    elif model.fit is not looked_at:
-        scattered = scatter(model.problem, model.fit, unseen)
-    # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains
-    # them better, though it may not hold in all sessions.
-    owed, rejected = LEAST_SHARE * sum(m.gain for m in members), searched.rounds[-1].rejected
-    scattered = [s for s in scattered if s.gain > (max(owed, rejected) if s.rare else owed)]
-    base = base or bare()
-    law = no_law(model, unseen) if baseline else unnamed(model, unseen, rng, say)
-    return Explanation(
-        model.problem, as_is, base.fit, model.fit, spread(*model), members, scattered,
-        leaves(model.problem, model.fit, len(baseline)), law, unseen, tuple(supports), [*searched.rounds, *rounds],
-        len(baseline),
-    )  # fmt: skip
+def _within(asked: _Asked, when: When, support: int) -> list[Candidate]:
+    """Hypotheses that an effect acts in a support only; in one session it may have been a push as well."""
+    some = asked.throughout
+    if when.session is not None:
+        drifts, pushes = within_session(some, asked.events, to_its_end(rows_of(asked.chunks), when))
+        some = [*drifts, *pushes]
+    return [behind(c, support) for c in some]
+
+
+def _disturbed(asked: _Asked, found: _Found, changes: bool) -> tuple[_Found, Model | None]:
+    """With a push from outside, if there is one; and the model without effects, if that was needed to look for it.
+
+    Changes since a baseline may be made up of one push.
+    """
+    base = found.bare(asked.baseline) if changes else None
+    model, members = pushed(
+        base or found.model, () if changes else found.members, asked.events, asked.throughout, asked.rng, asked.say
+    )
+    pays = not changes or model.fit.loglik > found.model.fit.loglik
+    if not pays or any(acted_before(m.when, asked.baseline) for m in members) or model is found.model:
+        return found, base
+    supports = tuple(m.when for m in members if m.when)
+    unseen = seen_at(found.problem.augmented.layout, asked.unseen, supports)
+    return found._replace(model=model, members=members, supports=supports, unseen=unseen), None

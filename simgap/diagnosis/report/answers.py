@@ -7,7 +7,7 @@ import numpy as np
 
 from simgap.diagnosis.config import CREDIBLE, POWER
 from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.sensitivity import Sensitivity

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.alternatives import Member
-from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import gain
 from simgap.diagnosis.inference.noise_effect import Scatter
 from simgap.diagnosis.inference.two_sample import leaves

@@ -6,7 +6,7 @@ import numpy as np
 
 from simgap.diagnosis.config import EXPLAINED, LARGE, LIKELY, WELL_DETERMINED
 from simgap.diagnosis.inference.alternatives import Member
-from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.posterior import told_from_nil
 from simgap.diagnosis.inference.whiteness import touched
 from simgap.diagnosis.validation import scores

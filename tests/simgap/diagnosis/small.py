@@ -4,7 +4,7 @@ import numpy as np
 from planted import SPOT, recordings
 
 from simgap.diagnosis.inference import explain as explanation
-from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.likelihood.filter import Variables, innovations_of
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.scales import measure

@@ -8,7 +8,7 @@ from small import RICH, ROWS, acting, problem
 from simgap.diagnosis.config import LEAST_SESSIONS
 from simgap.diagnosis.hypotheses.space import candidates, changed
 from simgap.diagnosis.inference import explain as explanation
-from simgap.diagnosis.inference.explain import Explanation
+from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import Tried
 from simgap.diagnosis.inference.posterior import constants

@@ -1,0 +1,82 @@
+"""The best explanation of the recordings: fits, effects, noise, what is left, and when each acts."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.config import EXPLAINED, LIKELY
+from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.inference.alternatives import Member
+from simgap.diagnosis.inference.model import Round, without
+from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.nonparametric import Law
+from simgap.diagnosis.inference.posterior import Spread, told_from_nil
+from simgap.diagnosis.inference.whiteness import LeftOver, named_share
+from simgap.diagnosis.likelihood.problem import Fit, Problem
+from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
+
+
+class Explanation(NamedTuple):
+    """The best explanation of the recordings.
+
+    as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
+    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over; law: one
+    beside them that has no name. unseen: the held-out rows, with the effects' supports. supports: when and where
+    effects act that do not act throughout. rounds: what was tried. baseline: number of its sessions; with any, what is
+    left over is what they do not leave as well, and no law without a name is looked for.
+    """
+
+    problem: Problem
+    as_is: Fit
+    base: Fit
+    fit: Fit
+    sd: Spread
+    members: tuple[Member, ...]
+    scattered: list[Scatter]
+    left: LeftOver
+    law: Law
+    unseen: Chunks
+    supports: tuple[When, ...]
+    rounds: list[Round]
+    baseline: int
+
+    def names(self, member: Member) -> bool:
+        """Whether an effect explains its outputs, rather than being the nearest word for something else.
+
+        A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do;
+        and what many names fit alike is likely something that has none.
+        """
+        if member.odds[member.candidate.effect.id] < LIKELY:
+            return False
+        nameless = np.maximum(self.left.nats, self.law.nats(self.fit))
+        share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
+        return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
+
+    @property
+    def anything(self) -> bool:
+        """Whether an effect was found, or something without a name."""
+        return bool(self.members or self.left.nats.any() or self.law.terms)
+
+    @property
+    def ids(self) -> set[str]:
+        """Of the effects found."""
+        return {m.candidate.effect.id for m in self.members}
+
+    @property
+    def regimes(self) -> tuple[Regime, ...]:
+        """Of every support; everywhere, where there is none, or it is a matter of time."""
+        return tuple(when.regime or EVERYWHERE for when in self.supports) or (EVERYWHERE,)
+
+    def acting(self, fit: Fit) -> Acting:
+        """The constants of a fit, as part of a simulator: what changed since a baseline acts in it as well, and what
+        acts in a regime acts there; what acts for a while only is no part of it."""
+        theta, delta = np.asarray(fit.v.theta), np.asarray(fit.v.delta)
+        if self.baseline and not self.supports:
+            return everywhere(theta + delta[0])
+        lasting = [s for s, when in enumerate(self.supports) if when.regime is not None]
+        return Acting(theta, delta[lasting], tuple(self.regimes[s] for s in lasting))
+
+    def known(self) -> Fit:
+        """The fit without the effects that are nearest words only; nothing is fitted anew."""
+        return without(self.fit, [group for m in self.members if not self.names(m) for group in m.candidate.groups])
