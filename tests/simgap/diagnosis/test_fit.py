@@ -136,7 +136,7 @@ def test_columns_are_derivatives_of_the_decorrelated_innovations() -> None:
     rng = np.random.default_rng(0)
     along = rng.normal(size=len(columns)) * 1e-3
     along[-1] = abs(along[-1])  # a dead time is at its bound
-    moved = Variables(*(a + along.astype(np.float32) @ d for a, d in zip(v, free, strict=True)))
+    moved = Variables(*(a + np.tensordot(along.astype(np.float32), d, 1) for a, d in zip(v, free, strict=True)))
     change, expected = trials(of, [moved])[0] - e, np.tensordot(along, columns, 1)
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(change)
 

@@ -34,7 +34,7 @@ def truth(constants: dict) -> Variables:
         np.full(12, 0.5, np.float32),
         np.zeros(44, np.float32),
         theta(constants),
-        np.zeros(len(SPOT.slots), np.float32),
+        np.zeros((1, len(SPOT.slots)), np.float32),
     )
 
 
@@ -113,7 +113,7 @@ def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
             innovations(
                 augmented,
                 still,
-                Variables(np.asarray(phi), np.full(2, 0.5), np.zeros(2), np.asarray(c), np.asarray(none)),
+                Variables(np.asarray(phi), np.full(2, 0.5), np.zeros(2), np.asarray(c), np.asarray(none)[None]),
                 chunks,
             )
         ).max()
