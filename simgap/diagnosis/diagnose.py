@@ -19,7 +19,8 @@ from simgap.diagnosis.report import experiment
 from simgap.diagnosis.report import statement as report
 from simgap.diagnosis.validation import black_box, scores
 from simgap.diagnosis.validation.adequacy import conclude
-from simgap.diagnosis.validation.scores import Contestant, Judgement
+from simgap.diagnosis.validation.forecast import Contestant
+from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import sensitivity
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Regime

@@ -28,8 +28,8 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
     def batch(first: int) -> np.ndarray:
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + BATCH), count - 1)
-        along = (a[index] for a in (free.phi, free.gain, free.cross))
-        raw = tangents(problem.augmented, problem.scales, v, *along, problem.chunks)
+        along = free.phi[index], free.gain[index], free.cross[index]
+        raw = tangents(problem.augmented, problem.scales, v, along, problem.chunks)
         return decorrelate(problem, raw)[: count - first]
 
     columns = np.concatenate(side_by_side(batch, range(0, count, BATCH)))

@@ -132,16 +132,14 @@ def tangents(
     augmented: Augmented,
     scales: Scales,
     v: Variables,
-    phi: Float[Array, "M p"],
-    gain: Float[Array, "M s"],
-    cross: Float[Array, "M c"],
+    directions: tuple[Float[Array, "M p"], Float[Array, "M s"], Float[Array, "M c"]],
     chunks: Chunks,
 ) -> Float[Array, "M C T-1 s"]:
-    """Derivatives of the innovations along M directions in phi and K."""
+    """Derivatives of the innovations along M directions in phi and K (its diagonal, its other entries)."""
     active = augmented.active(v.theta, *v.delta)
 
     def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 s"]:
         at = lambda p, g, c: _all(augmented, scales, v._replace(phi=p, gain=g, cross=c), active, chunks)  # noqa: E731
         return jax.jvp(at, (v.phi, v.gain, v.cross), direction)[1]
 
-    return jax.vmap(along)(phi, gain, cross)
+    return jax.vmap(along)(*directions)

@@ -13,8 +13,7 @@ from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut, sent_before
 from simgap.diagnosis.likelihood.student_t import log_density
-from simgap.diagnosis.validation.black_box import silent
-from simgap.diagnosis.validation.forecast import Regimes, forecast
+from simgap.diagnosis.validation.forecast import Contestant, Regimes, forecast
 from simgap.kinematics import motion
 from simgap.types import Recording
 
@@ -89,8 +88,7 @@ def _forecast(
          np.ones(RUN_IN + rows, bool), np.ones((len(regimes), RUN_IN + rows + 1)), 0, 0)
         for u in commands
     ]  # fmt: skip
-    box = silent(problem.augmented.layout)
-    return forecast(problem.augmented, problem.scales, fit.v, as_chunks(parts), box, regimes)
+    return forecast(problem, Contestant(fit.v, regimes=regimes), as_chunks(parts))
 
 
 def _moves(

@@ -14,8 +14,7 @@ from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, counted
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.report.experiment import Experiment
 from simgap.diagnosis.report.localisation import Excess
-from simgap.diagnosis.validation.forecast import windows
-from simgap.diagnosis.validation.scores import Contestant, forecasts
+from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
 from simgap.kinematics import rotated
 from simgap.types import Recording
 
@@ -126,7 +125,7 @@ def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Cont
         return []
     busiest = int(np.argmax(_activity(recording, pieces, steps)))
     one = jax.tree.map(lambda a: a[busiest : busiest + 1], pieces)
-    predicted = {name: forecasts(problem, c, one)[0] for name, c in contestants.items()}
+    predicted = {name: forecast(problem, c, one)[0] for name, c in contestants.items()}
     time = np.asarray(one.time_s)[0, RUN_IN + 1 :]
     measured = np.asarray(one.state)[0, RUN_IN + 1 :]
     return [

@@ -30,7 +30,8 @@ from simgap.diagnosis.report.answers import (
 from simgap.diagnosis.report.experiment import Experiment
 from simgap.diagnosis.validation import black_box, scores
 from simgap.diagnosis.validation.adequacy import Verdict
-from simgap.diagnosis.validation.scores import Contestant, Judgement
+from simgap.diagnosis.validation.forecast import Contestant
+from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 from simgap.effects.regime import features
 from simgap.effects.regime import words as rule

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, wrap
+from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
-from simgap.diagnosis.validation.black_box import BlackBox, correct
+from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
@@ -39,26 +41,32 @@ Regimes = tuple[Regime, ...]
 """Of every support; `EVERYWHERE` where it has none."""
 
 
-def forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regimes: Regimes = (EVERYWHERE,)
-) -> Float[np.ndarray, "W h s"]:
-    """Predicted measurements of the rows after each piece's run-in, to which `box` adds; nothing corrects them.
+class Contestant(NamedTuple):
+    """A model that forecasts: its variables, what a black box adds, and the regimes of its supports."""
+
+    v: Variables
+    box: BlackBox | None = None
+    regimes: Regimes = (EVERYWHERE,)
+
+
+def forecast(problem: Problem, model: Contestant, pieces: Chunks) -> Float[np.ndarray, "W h s"]:
+    """Predicted measurements of the rows after each piece's run-in; nothing corrects them.
 
     What has a support acts where its gate is open and the robot is, as predicted, in its regime.
     """
+    augmented, scales = problem.augmented, problem.scales
+    model = model if model.box is not None else model._replace(box=silent(augmented.layout))
     count = len(pieces.row)
     parts = []
     for first in range(0, count, PIECES):
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + PIECES), count - 1)
         some = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
-        parts.append(_forecast(augmented, scales, v, some, box, regimes)[: count - first])
+        parts.append(_forecast(augmented, scales, model, some)[: count - first])
     return np.concatenate(parts)
 
 
-def _forecast(
-    augmented: Augmented, scales: Scales, v: Variables, pieces: Chunks, box: BlackBox, regimes: Regimes
-) -> Float[np.ndarray, "W h s"]:
+def _forecast(augmented: Augmented, scales: Scales, model: Contestant, pieces: Chunks) -> Float[np.ndarray, "W h s"]:
     steps = pieces.state.shape[1] - 1
     trust = np.broadcast_to(np.arange(steps) < RUN_IN, (PIECES, steps)).astype(np.float32)
     times = (pieces.time_s[:, :-1], pieces.time_s[:, 1:])
@@ -70,12 +78,12 @@ def _forecast(
         np.swapaxes(pieces.gate[..., :-1], 1, 2),
         trust,
     )
-    going = _begin(augmented, v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
+    going = _begin(augmented, model.v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
     parts = []
     for first in range(0, steps, SEGMENT):
         # The last segment is filled up by repetition.
         index = np.minimum(np.arange(first, first + SEGMENT), steps - 1)
-        going, seen = _go_on(augmented, scales, v, box, regimes, going, tuple(a[:, index] for a in rows))
+        going, seen = _go_on(augmented, scales, model, going, tuple(a[:, index] for a in rows))
         parts.append(np.asarray(seen))
     return np.concatenate(parts, axis=1)[:, RUN_IN:steps]
 
@@ -106,12 +114,12 @@ def _begin(
 def _go_on(
     augmented: Augmented,
     scales: Scales,
-    v: Variables,
-    box: BlackBox,
-    regimes: Regimes,
+    model: Contestant,
     going: _Going,
     rows: tuple[Array, ...],
 ) -> tuple[_Going, Float[Array, "W t s"]]:
+    v, box, regimes = model
+    assert box is not None  # `forecast` gave it one
     phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
     active = augmented.active(v.theta, *v.delta)
 

@@ -12,13 +12,11 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from simgap.diagnosis.config import LEAST_SESSIONS, LEVEL, MARGIN
-from simgap.diagnosis.likelihood.filter import Variables, wrap
+from simgap.diagnosis.likelihood.filter import wrap
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
-from simgap.diagnosis.validation.black_box import BlackBox, silent
-from simgap.diagnosis.validation.forecast import Regimes, forecast, windows
-from simgap.effects.regime import EVERYWHERE
+from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
 from simgap.layout import Layout, X, Y, Z
 from simgap.types import Recording
 
@@ -29,14 +27,6 @@ STRIDE = 5
 DRAWS = 1000
 RUN = 10
 """Pieces of one run, where sessions are too few to be the units; at least, see `_unit`."""
-
-
-class Contestant(NamedTuple):
-    """A model to be judged: its variables, what a black box adds, and the regimes of its supports."""
-
-    v: Variables
-    box: BlackBox | None = None
-    regimes: Regimes = (EVERYWHERE,)
 
 
 class Judged(NamedTuple):
@@ -75,7 +65,7 @@ def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chu
 
 def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
     """What forecasts miss; their likelihood is still open."""
-    predicted, measured = forecasts(problem, contestant, pieces), _measured(pieces)
+    predicted, measured = forecast(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
     error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))
     start = np.asarray(pieces.state)[:, -measured.shape[1] - 1]
@@ -94,12 +84,6 @@ def _scored(problem: Problem, missed: Judged, noise: Noise | None) -> Judged:
 def _measured(pieces: Chunks) -> np.ndarray:
     """Measured states after the run-in."""
     return np.asarray(pieces.state)[:, RUN_IN + 1 :]
-
-
-def forecasts(problem: Problem, contestant: Contestant, pieces: Chunks) -> np.ndarray:
-    """Predicted measurements [n, horizon, s] after each piece's run-in."""
-    box = contestant.box if contestant.box is not None else silent(problem.augmented.layout)
-    return forecast(problem.augmented, problem.scales, contestant.v, pieces, box, contestant.regimes)
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:

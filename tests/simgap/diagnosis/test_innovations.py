@@ -223,7 +223,7 @@ def test_tangents_agree_with_finite_differences() -> None:
     v = truth(constants)._replace(gain=rng.uniform(0.2, 0.8, 12).astype(np.float32))
     chunks = cut(nothing_planted(), 1 / 15)
     phi, gain, cross = (rng.normal(size=(BATCH, n)).astype(np.float32) for n in (24, 12, 44))
-    got = np.asarray(tangents(SPOT, SCALES, v, phi, gain, cross, chunks))
+    got = np.asarray(tangents(SPOT, SCALES, v, (phi, gain, cross), chunks))
     h = 3e-3
     for i, tangent in enumerate(got[:3]):
         along = Variables(phi[i], gain[i], cross[i], 0 * v.theta, 0 * v.delta)
