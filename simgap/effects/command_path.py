@@ -22,7 +22,6 @@ from simgap.layout import Layout, X, Y
 from simgap.types import StepModel
 
 _U = Float[Array, " u"]
-
 NEVER = 1e-6
 """Fading of what forgets nothing, or nearly."""
 AT_ONCE = 4.0
