@@ -19,7 +19,7 @@ PAGE = Path(__file__).parents[3] / "simgap" / "page"
 EFFECT = {
     "id": "reach_limit", "form": "", "where": "ee", "probability": 0.81, "channels": ["cmd_ee_vx"],
     "outputs": ["ee_vx"], "statement": "Beyond a reach of 0.93 m the hand cannot follow outward commands.",
-    "regime": "base height > 0.4 m", "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}],
+    "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}], "regime": "height > 0.4 m",
     "credible_set": ["reach_limit", "rate_limit"], "gain_nats": 164.2, "heldout_gain_nats": 58.3, "from_s": 12.3,
 }  # fmt: skip
 STATEMENT: dict[str, Any] = {
