@@ -1,39 +1,33 @@
-"""Pictures of a diagnosis, as SVG: figures in bytes, marks for table cells as strings.
+"""Pictures of a diagnosis, as SVG in bytes.
 
 Equal content makes equal bytes. A figure's inch is 96 pixels of the page, which is 10 inches wide.
 """
 
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_hex
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from simgap.page.marks import COLOURS, EXCESS, FONTS, GREY, HELDOUT, INK
+
 Values = Mapping[str, Any]
 
-FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
-MODELS = {"as_is": "as is", "refitted": "refitted", "augmented": "with effects", "black_box": "black box"}
-COLOURS = {"as_is": "#9aa0a8", "refitted": "#d1722d", "augmented": "#1f5fa8", "black_box": "#2c9a5f"}
-INK, GREY, HELDOUT = "#1c2430", "#6b7280", "#1f5fa8"
-
-_EXCESS = LinearSegmentedColormap.from_list(
-    "excess", ["#f7f5f1", "#fbd9a5", "#ef8a43", "#bf3021", "#64101a"], bad="#e3e5e9"
-)
+_EXCESS = LinearSegmentedColormap.from_list("excess", EXCESS, bad="#e3e5e9")
 _LINES = {"as_is": ("-", 1.3), "refitted": ("-", 1.3), "augmented": ("-", 1.6), "black_box": ((0, (3, 3)), 1.3)}
 _WIDTH = 10.0  # of the page [inch]
 _COLUMNS = 3
 _DOTS = 120  # measured points a panel shows
 _NAME_SHOWN = 30  # characters of a session's name beside its strip
 _OVERSHOOT = 0.8  # how far a panel follows diverging predictions, in spans of what was measured
-_LOG_RATIO = 30.0  # of scores beyond which their scale is logarithmic
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
@@ -57,11 +51,6 @@ _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "simgap",
 }
-
-
-def shade(share: float) -> str:
-    """Colour of an excess error, from 0 (none, or less) to 1 (the top of the scale)."""
-    return to_hex(_EXCESS(min(max(share, 0.0), 1.0)))
 
 
 def top_of_scale(values: Sequence[Any], floor: float) -> float:
@@ -203,62 +192,6 @@ def commands(experiment: Values) -> bytes:
 def moving_channels(experiment: Values) -> list[str]:
     """Channels of an experiment that are commanded at all."""
     return [name for name, values in experiment["channels"].items() if np.any(_numbers(values) != 0)]
-
-
-def whiskers(points: Sequence[tuple[str, float, tuple[float, float] | None]]) -> str:
-    """A mark per (colour, value, interval), one below the other to a common scale, for a table cell.
-
-    Where the scale is logarithmic it says so.
-    """
-    width, step = 210, 9
-    ends = [e for _, value, interval in points for e in (value, *(interval or ())) if math.isfinite(e)]
-    low, high = min(ends), max(ends)
-    wide = low > 0 and high > _LOG_RATIO * low
-    place = _scale(low, high, width, wide)
-    corner = f'x="{width}" y="{len(points) * step}" text-anchor="end"'
-    marks = [f'<text {corner} font-size="10" fill="{GREY}">log</text>'] if wide else []
-    for k, (colour, value, interval) in enumerate(points):
-        y = (k + 0.5) * step + 1
-        marks.append(f'<line x1="0" x2="{width}" y1="{y}" y2="{y}" stroke="#eceef1"/>')
-        if interval is not None:
-            a, b = (place(e) for e in interval)
-            marks.append(f'<line x1="{a:.1f}" x2="{b:.1f}" y1="{y}" y2="{y}" stroke="{colour}" stroke-width="2"/>')
-        marks.append(f'<circle cx="{place(value):.1f}" cy="{y}" r="3.5" fill="{colour}"/>')
-    return _inline(width, len(points) * step + 2, marks)
-
-
-def range_bar(
-    before: float | None, after: float, interval: tuple[float, float] | None, limits: tuple[float, float]
-) -> str:
-    """A parameter in its plausible range: a grey tick where it was, a dot with its interval where it is now."""
-    width, y = 100, 8
-    known = [v for v in (before, after) if v is not None]
-    place = _scale(min(limits[0], *known, after), max(limits[1], *known, after), width)
-    a, b = place(limits[0]), place(limits[1])
-    colour = COLOURS["augmented"]
-    marks = [f'<rect x="{a:.1f}" width="{max(b - a, 1):.1f}" y="{y - 3}" height="6" rx="3" fill="#e8eaee"/>']
-    if before is not None:
-        x = place(before)
-        marks.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="1" y2="15" stroke="#7d848e" stroke-width="2"/>')
-    if interval is not None:
-        low, high = (min(max(place(e), 0), width) for e in interval)
-        marks.append(f'<line x1="{low:.1f}" x2="{high:.1f}" y1="{y}" y2="{y}" stroke="{colour}" stroke-width="2.5"/>')
-    marks.append(f'<circle cx="{place(after):.1f}" cy="{y}" r="3.5" fill="{colour}"/>')
-    return _inline(width, 16, marks)
-
-
-def _scale(low: float, high: float, width: float, logarithmic: bool = False) -> Callable[[float], float]:
-    """A function from values in [low, high] to pixels, with room for the marks at both ends."""
-    if logarithmic:
-        linear = _scale(math.log(low), math.log(high), width)
-        return lambda value: linear(math.log(value))
-    span = high - low or 1.0
-    return lambda value: 5 + (width - 10) * (value - low) / span
-
-
-def _inline(width: float, height: float, marks: Sequence[str]) -> str:
-    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
-    return f'<svg {size} aria-hidden="true">{"".join(marks)}</svg>'
 
 
 def _numbers(values: Any) -> Float[np.ndarray, " ..."]:

@@ -19,6 +19,7 @@ DOORS = {
         "tasks/tracking_plots.py",
         "tasks/sealed/figures.py",
     },
+    "jinja2": {"simgap/page/render.py"},
     "yaml": {"tasks/yaml_files.py"},
     "mcap": {"tasks/bags.py"},
     "rosbags": {"tasks/bags.py"},

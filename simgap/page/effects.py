@@ -1,0 +1,115 @@
+"""View of what is missing, what else it could be, and the experiment that would decide."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from simgap.page import numbers, wording
+from simgap.page.figures import Figures, source
+
+Values = Mapping[str, Any]
+
+_PLACES = 3  # named in the summary at most
+
+
+def summary(effect: Values) -> dict[str, Any]:
+    """A line of the list of what is missing: name, sizes, places, probability."""
+    places = effect.get("channels") or effect.get("outputs") or []
+    return {
+        "name": wording.either(effect),
+        "constants": [_constant(c) for c in effect.get("constants") or []],
+        "places": places[:_PLACES],
+        "more": max(len(places) - _PLACES, 0),
+        "probability": _probability(effect),
+    }
+
+
+def what(statement: Values, figures: Figures) -> dict[str, Any]:
+    """A card per effect, most important first; closest matches, what is left over, and laws without a name."""
+    effects, left = statement.get("effects") or [], statement.get("left_over") or {}
+    shares = [{"name": o["name"], "share": numbers.percent(o["share"])} for o in left.get("outputs") or []]
+    return {
+        "cards": [_card(e, figures) for e in wording.by_importance(effects)],
+        "none": "" if effects else wording.NO_EFFECTS.get(str(statement["verdict"]), "No effect was found."),
+        "insufficient": (statement["verdict"] == "inconclusive" and statement.get("insufficient")) or [],
+        "matches": [
+            {"says": e.get("statement", ""), "gain": numbers.fixed(e.get("gain_nats"), 1)}
+            for e in wording.by_importance(statement.get("resembles") or [])
+        ],
+        "left": {"shares": shares, "nats": numbers.fixed(left.get("nats"), 0)} if shares else None,
+        "law": [dict(t) | {"gain": numbers.fixed(t["gain_nats"], 1)} for t in statement.get("law") or []],
+    }
+
+
+def alternatives(statement: Values, figures: Figures) -> dict[str, Any]:
+    """Other sets of effects with their probability, and the experiment with the picture of its commands."""
+    others = sorted(statement.get("alternatives") or [], key=lambda a: -a["probability"])
+    experiment = statement.get("experiment")
+    return {
+        "rows": [
+            {
+                "name": " with ".join(map(wording.name, a["effects"])) or "nothing missing",
+                "probability": numbers.percent(a["probability"]),
+                "width": numbers.width(a["probability"]),
+            }
+            for a in others
+        ],
+        "no_experiment": wording.no_experiment(statement),
+        "experiment": experiment
+        and {
+            "says": wording.in_words(experiment.get("statement", ""), wording.ids(statement)),
+            "separates": [wording.name(e) for e in experiment.get("separates") or []],
+            "file": experiment.get("commands"),
+        },
+        "commands": figures.commands and {"src": source(figures.commands["svg"]), "still": figures.commands["still"]},
+    }
+
+
+def _card(effect: Values, figures: Figures) -> dict[str, Any]:
+    gains = [
+        {"value": numbers.fixed(effect[key], 1), "of": of}
+        for key, of in (("gain_nats", "on the sessions fitted"), ("heldout_gain_nats", "on held-out sessions"))
+        if numbers.known(effect.get(key))
+    ]
+    title = wording.name(effect["id"])
+    return {
+        "title": title,
+        "probability": _probability(effect),
+        "width": numbers.width(effect.get("probability")),
+        "says": effect.get("statement", ""),
+        "constants": [_constant(c) for c in effect.get("constants") or []],
+        "channels": effect.get("channels") or [],
+        "outputs": effect.get("outputs") or [],
+        "gains": gains,
+        "begins": numbers.fixed(effect["from_s"], 1) if numbers.known(effect.get("from_s")) else "",
+        "regime": effect.get("regime"),
+        "credible": [wording.name(m) for m in effect.get("credible_set") or []],
+        "laws": [
+            {
+                "title": law.get("title", ""),
+                "caption": law.get("caption", ""),
+                "src": source(law["svg"]),
+                "alt": f"{law.get('title', '')} ({title}): measured as dots, the fitted law as a line",
+            }
+            for law in figures.laws
+            if _shows(law, effect)
+        ],
+    }
+
+
+def _shows(law: Values, effect: Values) -> bool:
+    """Whether a picture is of this effect; there may be others of its id, elsewhere."""
+    return law["effect"] == effect["id"] and all(law.get(key) == effect.get(key) for key in ("form", "where"))
+
+
+def _probability(effect: Values) -> str:
+    return numbers.percent(effect["probability"]) if numbers.known(effect.get("probability")) else ""
+
+
+def _constant(constant: Values) -> dict[str, str]:
+    value, interval = numbers.with_interval(constant.get("value"), constant.get("ci95"))
+    return {
+        "name": wording.name(constant["name"]),
+        "value": value,
+        "unit": numbers.unit(constant.get("unit")),
+        "interval": interval,
+    }

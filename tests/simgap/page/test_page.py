@@ -1,0 +1,175 @@
+"""The page of a diagnosis, without pictures: its headline, its names, and that no text becomes markup."""
+
+import re
+import tomllib
+from fnmatch import fnmatch
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from simgap.page import marks, wording
+from simgap.page.figures import Figures
+from simgap.page.render import page
+
+PAGE = Path(__file__).parents[3] / "simgap" / "page"
+EFFECT = {
+    "id": "reach_limit", "form": "", "where": "ee", "probability": 0.81, "channels": ["cmd_ee_vx"],
+    "outputs": ["ee_vx"], "statement": "Beyond a reach of 0.93 m the hand cannot follow outward commands.",
+    "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}], "regime": "height > 0.4 m",
+    "credible_set": ["reach_limit", "rate_limit"], "gain_nats": 164.2, "heldout_gain_nats": 58.3, "from_s": 12.3,
+}  # fmt: skip
+STATEMENT: dict[str, Any] = {
+    "simulator": "spot", "verdict": "missing_physics", "statement": "The simulator leaves out reach_limit.",
+    "warnings": ["The refitted simulator is worse."], "something_else": True,
+    "recordings": {"training_sessions": ["walk"], "heldout_sessions": ["turn"], "baseline": ["before"]},
+    "located": {"outputs": [{"name": "ee_vx", "excess": 0.5}], "regimes": [{"when": "reach > 0.9 m", "share": 0.4}],
+                "intervals": [{"session": "walk", "from_s": 1.0, "to_s": 2.0, "share": 0.1}]},
+    "effects": [EFFECT], "resembles": [EFFECT],
+    "left_over": {"nats": 9.0, "outputs": [{"name": "ee_vx", "share": 0.1}]},
+    "law": [{"axis": "ee_vx", "depends_on": ["reach", "ee_x"], "gain_nats": 20.0}],
+    "alternatives": [{"effects": ["rate_limit"], "probability": 0.19}],
+    "experiment": {"statement": "To separate reach_limit from rate_limit, push.", "commands": "experiment.csv",
+                   "separates": ["reach_limit", "rate_limit"]},
+    "parameters": {"before": {"alpha": 0.1}, "after": {"alpha": 0.2}, "ci95": {"alpha": [0.1, 0.3]},
+                   "units": {"alpha": "m"}, "ranges": {"alpha": [0.0, 1.0]}},
+    "fit": {"heldout_sessions": ["turn"], "explained_share": 0.9,
+            "models": {"as_is": {"error_50": {"value": 0.5, "ci95": [0.4, 0.6]}}}},
+    "sensitivity": {"chance": 0.9, "effects": [
+        {"effect": "rate_limit", "where": "ee", "constant": "limit", "size": 0.1, "unit": "m/s/s"},
+        {"effect": "rate_limit", "where": "base", "constant": "limit", "size": None, "unit": "m/s/s"}]},
+    "rounds": [{"threshold_nats": 11.4, "p_value": 0.002, "accepted": "reach_limit.horizontal on ee",
+                "candidates": [{"effect": "reach_limit.horizontal", "where": "ee", "gain_nats": 164.2}]}],
+    "notes": ["Could not test rate_limit on base."],
+}  # fmt: skip
+HEAT = {"outputs": ["ee_vx"], "regimes": ["reach > 0.9 m"], "values": [[0.3]], "top": 0.5}
+LAW = {"effect": "reach_limit", "form": "", "where": "ee", "title": "Law", "caption": "A line", "svg": b"<svg/>"}
+ROLLOUT = {"session": "turn", "models": ["as_is"], "svg": b"<svg/>"}
+SHOWN = {"heat": HEAT, "laws": [LAW], "rollouts": [ROLLOUT], "commands": {"svg": b"<svg/>", "still": ["cmd_ee_vz"]}}
+KEPT = {"verdict", "models", "svg"}
+"""What the program itself writes: none of it is a user's text."""
+
+
+class Outline(HTMLParser):
+    """The elements of a page with the names of their attributes, and its words."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, ...]] = []
+        self.words = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, *(name for name, _ in attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+
+def replaced(value: Any, text: str) -> Any:
+    """The value with every text in it replaced, and every parameter's name."""
+    if isinstance(value, dict):
+        return {
+            ("alpha" + text if k == "alpha" else k): v if k in KEPT else replaced(v, text) for k, v in value.items()
+        }
+    if isinstance(value, list):
+        return [replaced(v, text) for v in value]
+    return text if isinstance(value, str) else value
+
+
+def outline(text: str) -> Outline:
+    return Outline(page(replaced(STATEMENT, text), Figures(**replaced(SHOWN, text))))
+
+
+@pytest.fixture(scope="module")
+def plain() -> Outline:
+    return outline("plain")
+
+
+@given(st.text(min_size=1))
+@example("<script>alert(1)</script>")
+@example('"><img src=x onerror=alert(1)>')
+@example("' autofocus onfocus='alert(1)")
+@example("</style></title><b>")
+@example("{{ 7 * 7 }}{% raw %}")
+@example("&lt;b&gt;")
+@settings(max_examples=50, deadline=None)
+def test_no_text_becomes_markup(plain: Outline, text: str) -> None:
+    assert outline(text).elements == plain.elements
+
+
+def test_a_hostile_channel_name_is_read_as_it_is() -> None:
+    hostile = '<img src=x onerror="alert(1)">'
+    effect = EFFECT | {"channels": [hostile]}
+    html = page(STATEMENT | {"effects": [effect], "statement": f"Commands of {hostile} act late."}, Figures())
+    assert hostile not in html
+    assert Outline(html).words.count(hostile) == 3  # list, statement, card
+
+
+def test_nothing_in_the_package_switches_escaping_off() -> None:
+    for path in filter(Path.is_file, PAGE.iterdir()):
+        assert not re.search(r"Markup|\|\s*safe|autoescape\s+false", path.read_text()), path
+
+
+@given(
+    st.lists(
+        st.lists(st.from_regex(r"[a-z]{1,9}(_[a-z]{1,9}){0,4}", fullmatch=True), min_size=1, max_size=4), max_size=9
+    ),
+    st.booleans(),
+    st.sampled_from([*wording.VERDICTS, "a verdict of another kind"]),
+)
+@settings(deadline=None)
+def test_a_headline_has_at_most_25_words(sets: list[list[str]], more: bool, verdict: str) -> None:
+    effects = [{"id": names[0], "credible_set": names, "gain_nats": float(k)} for k, names in enumerate(sets)]
+    said = wording.headline({"verdict": verdict, "effects": effects, "something_else": more})
+    assert 0 < len(said.split()) <= 25
+
+
+def test_effects_come_by_what_held_out_sessions_gain() -> None:
+    small, large, unknown = ({"id": i, "gain_nats": 1.0, "heldout_gain_nats": g} for i, g in
+                             (("small", 2.0), ("large", 30.0), ("unknown", None)))  # fmt: skip
+    statement = {"verdict": "missing_physics", "effects": [unknown, small, large]}
+    assert wording.headline(statement) == "Missing in the simulator: large, small and unknown."
+    words = Outline(page(statement, Figures())).words
+    assert words.rindex("large") < words.rindex("small") < words.rindex("unknown")
+
+
+def test_an_effect_has_one_name() -> None:
+    words = Outline(page(STATEMENT, Figures())).words
+    assert "reach_limit" not in words
+    assert "rate_limit" not in words
+    assert "reach limit (horizontal) on ee accepted" in words
+
+
+@pytest.mark.parametrize("verdict", wording.VERDICTS)
+def test_every_verdict_has_a_headline_and_landmarks(verdict: str) -> None:
+    elements = Outline(page({"verdict": verdict}, Figures())).elements
+    tags = [tag for tag, *_ in elements]
+    assert [tags.count(tag) for tag in ("header", "main", "h1")] == [1, 1, 1]
+    assert ("html", "lang") in elements
+
+
+def test_tables_have_captions_and_scopes_and_pictures_alternatives() -> None:
+    elements = Outline(page(STATEMENT, Figures(**SHOWN))).elements
+    tags = [tag for tag, *_ in elements]
+    assert tags.count("table") == tags.count("caption") > 4
+    assert all("scope" in attrs for tag, *attrs in elements if tag == "th")
+    assert tags.count("img") == 3
+    assert all("alt" in attrs for tag, *attrs in elements if tag == "img")
+
+
+def test_colours_run_from_none_to_the_top_of_the_scale() -> None:
+    assert [marks.shade(s) for s in (-1.0, 0.0, 0.5, 1.0, 2.0)] == [
+        *(2 * marks.EXCESS[:1]), marks.EXCESS[2], *(2 * marks.EXCESS[-1:])
+    ]  # fmt: skip
+
+
+def test_a_wheel_contains_the_template_and_the_stylesheet() -> None:
+    settings = tomllib.loads((PAGE.parents[1] / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert "simgap.page" in settings["packages"]
+    others = [path.name for path in PAGE.iterdir() if path.is_file() and path.suffix != ".py"]
+    assert {"page.html.jinja", "style.css"} <= set(others)
+    assert all(any(fnmatch(name, p) for p in settings["package-data"]["simgap.page"]) for name in others)
