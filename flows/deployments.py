@@ -15,8 +15,9 @@ from flows import track as track_flow
 from flows.start import PARAMS, alone
 from flows.sweep import prepare
 from simgap.types import SimgapError
-from tasks import artifacts, diagnose, files, forms, score, sweep, tracking
+from tasks import artifacts, diagnose, forms, score, sweep, tracking
 from tasks import track as track_tasks
+from tasks.files.documents import read_json
 from tasks.forms import Models, Noises, Recordings, SampleSizes, Seeds
 from tasks.params import NoiseName, Params, load_params
 from tasks.ranges import RANGES, Seed
@@ -137,7 +138,7 @@ def diagnose_recordings(
     before, judges = (forms.inside(path) if path else None for path in (baseline, heldout))
     run_id = diagnose_flow.diagnose_folder.fn(forms.inside(recordings), simulator, before, judges, root, seed)
     store = provenance.store(diagnose_flow.EXPERIMENT)
-    statement = files.read_json(root / diagnose.STATEMENT)["statement"]
+    statement = read_json(root / diagnose.STATEMENT)["statement"]
     same = f"params.recordings = '{recordings}'"
     places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE),
               "diagnoses of these recordings": tracking.compare(store, root.name, same, tracking.DIAGNOSES),

@@ -15,8 +15,9 @@ from flows import provenance
 from flows.start import alone
 from simgap.simulators.spot import Spot
 from simgap.types import StepModel
-from tasks import diagnose, files, progress, simulators, tracking
+from tasks import diagnose, progress, simulators, tracking
 from tasks.diagnose import Folders
+from tasks.files.folders import make_folder
 from tasks.params import Params
 from tasks.workspace import Workspace
 
@@ -71,7 +72,7 @@ def _read(asked: _Asked) -> diagnose.Sessions:
 def _diagnose(asked: _Asked, sessions: diagnose.Sessions, out: Path, tags: dict[str, str]) -> str:
     """Diagnose, write to `out`, log; returns the run's id in MLflow."""
     label, name, simulator, folders, seed = asked
-    files.make_folder(out)  # before the work, not after it
+    make_folder(out)  # before the work, not after it
     store = provenance.store(EXPERIMENT)
     with tracking.diagnosis_run(store, f"{label}-{name}", tags) as tracked:
         diagnose.log_recordings(tracked, name, folders, sessions, seed)

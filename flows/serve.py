@@ -14,7 +14,8 @@ from prefect.types.entrypoint import EntrypointType
 from flows import deployments, sweep
 from flows.running import LOGS
 from flows.start import PARAMS, guarded
-from tasks import files, forms
+from tasks import forms
+from tasks.files.documents import write_text
 from tasks.params import Params, load_params
 from tasks.yaml_files import read_yaml
 
@@ -56,7 +57,7 @@ async def _serve(deployments: list[RunnerDeployment], runs: int) -> None:
     runner = _Runner(name="simgap", limit=runs, pause_on_shutdown=False)
     for deployment in deployments:
         await runner.aadd_deployment(deployment)
-    files.write_text(READY, "")
+    write_text(READY, "")
     try:
         await runner.start()
     finally:

@@ -53,11 +53,11 @@ def main(stage: str, description: str | None) -> NoReturn:
         params = load_params(PARAMS, *read_overrides(arguments))
         params.source(arguments.source)
         flow = prepared(stage)
-        from tasks import files
+        from tasks.files.atomic import remove_unfinished
 
         with held(Workspace(Path(), arguments.source).lock):
             for folder in FOLDERS:
-                files.remove_unfinished(folder)
+                remove_unfinished(folder)
             flow.run(arguments.source, params, Path())
 
     guarded(work)
@@ -92,10 +92,10 @@ def main_apart(stage: str, description: str | None) -> NoReturn:
 
 def prepared(stage: str) -> Any:
     """The module of a flow, imported; a flow without a server starts one, whose database is for its owner alone."""
-    from tasks import files
+    from tasks.files.folders import keep_private
 
     if "PREFECT_API_URL" not in os.environ:
-        files.keep_private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
+        keep_private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
     return import_module(stage)
 
 
@@ -112,10 +112,10 @@ def alone(root: Path, source: str = "") -> Iterator[None]:
 
     Raises SimgapError where another process works there.
     """
-    from tasks import files
+    from tasks.files.atomic import remove_unfinished
 
     with held(root / ".lock"), held(Workspace(root, source).lock) if source else nullcontext():
-        files.remove_unfinished(root)
+        remove_unfinished(root)
         yield
 
 
@@ -125,9 +125,9 @@ def held(lock: Path) -> Iterator[None]:
 
     Raises SimgapError that names the holder where there is one: it would lose what it is writing.
     """
-    from tasks import files
+    from tasks.files.folders import make_folder
 
-    files.make_folder(lock.parent)
+    make_folder(lock.parent)
     try:
         file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     except OSError as error:

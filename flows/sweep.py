@@ -13,7 +13,8 @@ from flows.fan_out import Place
 from flows.start import PARAMS, alone
 from flows.train import told, train_cells
 from simgap.types import SimgapError
-from tasks import artifacts, files, forms, progress, score, sweep, tracking
+from tasks import artifacts, forms, progress, score, sweep, tracking
+from tasks.files.documents import write_json
 from tasks.forms import Hyperparameters, Models, Noises, Recordings, SampleSizes, Seeds
 from tasks.params import Params, load_params
 from tasks.workspace import Workspace
@@ -48,7 +49,7 @@ def run(
     forms.check_source(params, recordings.source)
     cells = sweep.cells(root, recordings.source, hyperparameters, lambda more: load_params(PARAMS, *base, more))
     with alone(root, recordings.source):
-        files.write_json(root / "sweep.json", {"recordings": recordings.model_dump(), **grid,
+        write_json(root / "sweep.json", {"recordings": recordings.model_dump(), **grid,
                                                "hyperparameters": hyperparameters.model_dump()})  # fmt: skip
         prepare(recordings.source, params, root)
         _train_and_score(name, root, cells, params)

@@ -14,7 +14,9 @@ from flows import policy as policy_flow
 from flows import provenance
 from simgap.policies.follow import Run
 from simgap.types import SimgapError
-from tasks import files, policy, progress, track, tracking
+from tasks import policy, progress, track, tracking
+from tasks.files.folders import remove_folder
+from tasks.files.models import load_policy
 from tasks.params import Params
 from tasks.workspace import Workspace
 
@@ -28,8 +30,8 @@ def run(source: str, params: Params, root: Path) -> list[track.Row]:
     Returns a row for every policy and shape.
     """
     workspace, cells = Workspace(root, source), policy.grid(params.policy)
-    files.remove_folder(workspace.tracks, root)
-    files.remove_folder(workspace.tracking, root)
+    remove_folder(workspace.tracks, root)
+    remove_folder(workspace.tracking, root)
     store = provenance.store(policy_flow.EXPERIMENT)
     found = [cell for cell in cells if workspace.policy_record(cell).exists()]
     for cell in (cell for cell in cells if cell not in found):
@@ -49,7 +51,7 @@ def run(source: str, params: Params, root: Path) -> list[track.Row]:
                 rows += track.run(workspace, name, controller, {"policy": name}, params.track)[0]
         for cell in found:
             with bars.job(cell.name, 1):
-                learnt, about = files.load_policy(workspace.policy(cell)), track.about(workspace, cell)
+                learnt, about = load_policy(workspace.policy(cell)), track.about(workspace, cell)
                 new, done = track.run(workspace, cell.name, learnt, about, params.track)
                 track.log_cell(workspace, cell, new, store)
                 rows += new

@@ -14,7 +14,8 @@ from prefect import flow
 from flows import provenance
 from flows.fan_out import Place, fan_out
 from simgap.types import SimgapError
-from tasks import diagnosed, files, fingerprint, progress, tracking, train
+from tasks import diagnosed, fingerprint, progress, tracking, train
+from tasks.files.folders import remove_file
 from tasks.params import Params
 from tasks.workspace import Workspace
 
@@ -63,6 +64,6 @@ def _diagnose(places: list[Place], params: Params, codes: fingerprint.Codes) -> 
         state = diagnosed.find(workspace, share, *common, time.perf_counter, return_state=True)
         if not state.is_completed():
             for place in (p for p in places if (p[0], p[1].share) == (workspace, share)):
-                files.remove_file(workspace.record(place[1]), workspace.root)
+                remove_file(workspace.record(place[1]), workspace.root)
                 failed[place] = str(state.message)
     return failed

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from simgap.types import Report, SimgapError
-from tasks import files, tracking
+from tasks import tracking
+from tasks.files.digests import fingerprint_of
 
 
 def may_pass(_task: Any, _run: Any, state: Any) -> bool:
@@ -15,7 +16,7 @@ def may_pass(_task: Any, _run: Any, state: Any) -> bool:
 
 def finished(result: Path, record: Path, fingerprint: str) -> bool:
     """Whether the cell was made before of the same data, parameters and code; a damaged file is as none."""
-    return files.fingerprint_of(record, result) == fingerprint
+    return fingerprint_of(record, result) == fingerprint
 
 
 class Curve:

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 from prefect import task
 from pydantic import BaseModel
 
-from tasks import files, forms, report, score, tracking, train
+from tasks import forms, report, score, tracking, train
+from tasks.files.documents import read_json, write_table
 from tasks.params import Params
 from tasks.workspace import Cell, Workspace
 
@@ -50,7 +51,7 @@ def cells(
 def write(root: Path, rows: Sequence[Row], params: Params, run: tracking.Run) -> None:
     """All scores as one table; tables, figures and claims of every variant; all of it beside the sweep's run."""
     everything = [{"variant": row.workspace.variant, **row.scores} for row in rows]
-    files.write_table(root / "results.csv", everything)
+    write_table(root / "results.csv", everything)
     run.artifact(root / "results.csv")
     run.table("results", everything)
     for workspace in dict.fromkeys(row.workspace for row in rows):
@@ -75,7 +76,7 @@ def rows(workspace: Workspace, store: tracking.Store) -> list[Row]:
     found = []
     for scores in score.load(workspace):
         cell = Cell(*(scores[name] for name in Cell._fields))
-        mark = {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]}
+        mark = {"fingerprint": read_json(workspace.record(cell))["fingerprint"]}
         run = tracking.latest_run(store, mark)
         found.append(Row(workspace, cell, scores, run.run_id if run else ""))
     return found

@@ -16,8 +16,10 @@ from simgap.policies.proportional import Proportional
 from simgap.robots.virtual_robot import VirtualRobot
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.types import Policy, Robot, SimgapError
-from tasks import files, tracking
+from tasks import tracking
 from tasks import tracking_plots as plots
+from tasks.files.arrays import save_arrays
+from tasks.files.documents import read_json, write_json, write_table, write_text
 from tasks.params import PolicyParams, TrackParams
 from tasks.plots import LABELS
 from tasks.report import compare
@@ -69,20 +71,20 @@ def run(
         result = {"mean_error": mean_error(done), "completed": len(done.states) / len(reference)}
         rows.append({"shape": shape, **about, **result, "stopped": done.stopped})
     arrays = {f"{shape}_{part}": getattr(done, part) for shape, done in runs.items() for part in _WRITTEN}
-    files.save_arrays(workspace.runs(name), arrays)
+    save_arrays(workspace.runs(name), arrays)
     return rows, runs
 
 
 def about(workspace: Workspace, cell: Cell) -> Row:
     """What is known of a learnt policy: its cell, its return in its own model, the share of rollouts lost there."""
-    record = files.read_json(workspace.policy_record(cell))
+    record = read_json(workspace.policy_record(cell))
     return {"policy": cell.model, "sample_size": cell.sample_size, "seed": cell.seed, "return": record["return"],
             "lost": record["lost"], "steps": record["steps"]}  # fmt: skip
 
 
 def notes(workspace: Workspace, cells: Sequence[Cell], params: PolicyParams) -> list[str]:
     """How the policies were learnt, for the report: how many, for how long, and what set these parameters apart."""
-    records = [files.read_json(workspace.policy_record(cell)) for cell in cells]
+    records = [read_json(workspace.policy_record(cell)) for cell in cells]
     learning, sac = params.learning, params.sac
     steps = [record["steps"] for record in records]
     sizes = ", ".join(str(n) for n in sorted({cell.sample_size for cell in cells}))
@@ -99,7 +101,7 @@ def notes(workspace: Workspace, cells: Sequence[Cell], params: PolicyParams) -> 
 @task(task_run_name="log-track-{cell.name}", retries=1)
 def log_cell(workspace: Workspace, cell: Cell, rows: Sequence[Row], store: tracking.Store) -> None:
     """Add the errors to the latest run of the policy in MLflow, if this store has one."""
-    found = tracking.latest_run(store, {"fingerprint": files.read_json(workspace.policy_record(cell))["fingerprint"]})
+    found = tracking.latest_run(store, {"fingerprint": read_json(workspace.policy_record(cell))["fingerprint"]})
     if found:
         found.scores({f"{row['shape']}/{score}": row[score] for row in rows for score in ("mean_error", "completed")
                       if not math.isnan(row[score])})  # fmt: skip
@@ -190,9 +192,9 @@ def write(
     `runs`: those of learnt policies, by shape, model, N and seed. `notes`: lines on how the policies were learnt.
     """
     folder, summary = workspace.tracking, summarise(rows)
-    files.write_table(folder / "errors.csv", [{**{k: r.get(k, "") for k in IDENTITY}, **r} for r in rows])
-    files.write_table(folder / "summary.csv", summary)
-    files.write_json(folder / "metrics.json", _metrics(summary))
+    write_table(folder / "errors.csv", [{**{k: r.get(k, "") for k in IDENTITY}, **r} for r in rows])
+    write_table(folder / "summary.csv", summary)
+    write_json(folder / "metrics.json", _metrics(summary))
     learnt = [r for r in rows if _learnt(r)]
     plots.error_against_n(folder / "error_against_n.png", learnt, best_controller(rows), dpi)
     for shape in SHAPES:
@@ -202,7 +204,7 @@ def write(
     best = min((r for r in learnt if r["shape"] == "helix"), key=lambda r: (-r["completed"], r["mean_error"]))
     title = f"{LABELS[best['policy']]}, N = {best['sample_size']}, seed {best['seed']}: {best['mean_error']:.3f} m"
     plots.animate(folder / "helix.gif", runs["helix", best["policy"], best["sample_size"], best["seed"]], title)
-    files.write_text(folder / "report.md", _markdown(workspace.source, rows, summary, notes))
+    write_text(folder / "report.md", _markdown(workspace.source, rows, summary, notes))
     return summary
 
 
@@ -216,7 +218,7 @@ def register_best(workspace: Workspace, rows: Sequence[Row], noise: str, name: s
     cost = {cell: (sum(bool(r["stopped"]) for r in own), float(np.mean([r["mean_error"] for r in own])))
             for cell, own in found.items()}  # fmt: skip
     best = min(cost, key=cost.__getitem__)
-    mark = {"fingerprint": files.read_json(workspace.policy_record(best))["fingerprint"]}
+    mark = {"fingerprint": read_json(workspace.policy_record(best))["fingerprint"]}
     run = tracking.latest_run(store, mark)
     if run is None:
         raise SimgapError(f"MLflow has no finished run of the policy {best.name}. Start the same run again.")

@@ -38,7 +38,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from simgap.types import Schema as RobotSchema
 from simgap.types import SimgapError
-from tasks import augmented_pyfunc, files, policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, policy_pyfunc, pyfunc
+from tasks.files.folders import keep_private, make_folder
 
 MODEL = "model"
 """Name of a run's model: `mlflow.pyfunc.load_model("runs:/<run id>/model")`."""
@@ -149,7 +150,7 @@ def open_store(root: Path, experiment: str, uri: str | None = None, pages: str =
     before any fan-out.
     """
     root = root.resolve()
-    files.make_folder(root)
+    make_folder(root)
     uri = uri or f"sqlite:///{root / 'mlflow.db'}"
     # A server says itself where artifacts go; to a database the client would write them under its working directory.
     artifacts = None if uri.startswith("http") else (root / "mlruns" / experiment).as_uri()
@@ -169,14 +170,14 @@ def make_database(path: Path, artifacts: Path) -> None:
         new = path.with_name(f"{path.name}.new")
         with _explaining(f"sqlite:///{path}"):
             new.unlink(missing_ok=True)
-            files.keep_private(new)
+            keep_private(new)
             engine = SqlAlchemyStore._get_or_create_engine(f"sqlite:///{new}")
             try:
                 SqlAlchemyStore(f"sqlite:///{new}", artifacts.as_uri())
             finally:
                 engine.dispose()  # MLflow keeps it: the next attempt would write to the file that is deleted first
             new.replace(path)
-    files.keep_private(path)
+    keep_private(path)
 
 
 def pages() -> Any:

@@ -15,8 +15,11 @@ from simgap.recordings import HISTORY, draw
 from simgap.simulators import sample_parameters
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Report, Schema, Simulator, Transitions
-from tasks import diagnosed, files, tracking, transitions
+from tasks import diagnosed, tracking, transitions
 from tasks.cells import Curve, finished, may_pass
+from tasks.files.documents import read_json, write_json
+from tasks.files.folders import remove_file
+from tasks.files.models import save_model
 from tasks.fingerprint import Codes, configuration, fingerprint, relevant_params
 from tasks.params import Params, TrainParams
 from tasks.workspace import Cell, Workspace
@@ -97,7 +100,7 @@ def train_cell(
         reused = finished(workspace.model(cell), workspace.record(cell), mark)
         if not reused:
             # Should this training fail, the model of other parameters must not pass for its result.
-            files.remove_file(workspace.record(cell), workspace.root)
+            remove_file(workspace.record(cell), workspace.root)
             simulator = found.simulator if found else Spot(time_step=time_step)
             record = {"fingerprint": mark, **({"effects": list(found.simulator.effects)} if found else {})}
             _train(workspace, cell, simulator, params.train, record, report, clock)
@@ -128,13 +131,13 @@ def _train(
         "steps": keep.curve["step"][-1],
         "curve": keep.curve,
     }
-    files.save_model(workspace.model(cell), model)
-    files.write_json(workspace.record(cell), record)
+    save_model(workspace.model(cell), model)
+    write_json(workspace.record(cell), record)
 
 
 def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, tags: dict[str, str]) -> tracking.Run:
     """A finished cell as a run of the grid's: parameters, effects, curve, data set with its digest, model."""
-    record = files.read_json(workspace.record(cell))
+    record = read_json(workspace.record(cell))
     tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": configuration(cell, params)}
     if cell.share:
         tags |= {"diagnosis": cell.share.name, "effects": ", ".join(record["effects"]) or "none"}
@@ -160,4 +163,4 @@ def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
     wanted |= {path for s in diagnosed.shares(cells) for path in (workspace.augmented(s), workspace.effects(s))}
     for path in workspace.models.rglob("*"):
         if path.is_file() and path not in wanted:
-            files.remove_file(path, workspace.root)
+            remove_file(path, workspace.root)

@@ -23,7 +23,8 @@ def main(stage: str, description: str | None) -> NoReturn:
 
     def work() -> None:
         check_files(PARAMS, *arguments.overrides)
-        from tasks import files, fingerprint
+        from tasks import fingerprint
+        from tasks.files.atomic import remove_unfinished
         from tasks.params import load_sealed
 
         params = load_sealed(PARAMS, *read_overrides(arguments))
@@ -31,7 +32,7 @@ def main(stage: str, description: str | None) -> NoReturn:
         flow = prepared(stage)
         with held(SealedWorkspace(arguments.workspace, arguments.suite).lock):
             for folder in FOLDERS:
-                files.remove_unfinished(arguments.workspace / folder)
+                remove_unfinished(arguments.workspace / folder)
             flow.run(arguments.suite, params, arguments.workspace)
 
     guarded(work)

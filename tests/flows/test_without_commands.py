@@ -14,7 +14,7 @@ from mlflow import MlflowClient
 
 from simgap.diagnosis.diagnose import diagnose, split
 from simgap.types import Recording
-from tasks import files
+from tasks.files.documents import read_json
 from tasks.simulators import find, make
 
 SIMULATOR = """
@@ -97,7 +97,7 @@ def statement(folder: Path, prefect_server: dict[str, str]) -> dict[str, Any]:
             text=True, timeout=1200,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
-    return files.read_json(folder / "found" / "diagnosis.json")
+    return read_json(folder / "found" / "diagnosis.json")
 
 
 def test_its_friction_is_named(statement: dict[str, Any]) -> None:

@@ -33,7 +33,13 @@ from flows import running
 from flows.start import alone, guarded, held
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks import artifacts, files, tracking
+from tasks import artifacts, tracking
+from tasks.files.arrays import load_arrays, save_arrays
+from tasks.files.atomic import remove_unfinished
+from tasks.files.digests import fingerprint_of
+from tasks.files.documents import write_json
+from tasks.files.models import save_model
+from tasks.files.recordings import read_recordings
 from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
@@ -53,13 +59,13 @@ def full_disk(limit: int) -> Iterator[None]:
 
 def test_a_full_disk_is_told_of_and_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
-    files.save_arrays(path, ARRAYS)
+    save_arrays(path, ARRAYS)
     before = path.read_bytes()
     with (
         full_disk(2000),
         pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Make room"),
     ):
-        files.save_arrays(path, {"a": np.arange(2000.0)})
+        save_arrays(path, {"a": np.arange(2000.0)})
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["model.npz"]
 
@@ -68,26 +74,26 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from tasks import files
+from tasks.files.arrays import save_arrays
 os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-files.save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
+save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
 """
 
 
 def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "models" / "model.npz"
-    files.save_arrays(path, ARRAYS)
+    save_arrays(path, ARRAYS)
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], cwd=ROOT, timeout=200)
     assert done.returncode == -signal.SIGKILL
-    np.testing.assert_array_equal(files.load_arrays(path)["a"], ARRAYS["a"])
+    np.testing.assert_array_equal(load_arrays(path)["a"], ARRAYS["a"])
     left = [p.name for p in path.parent.iterdir() if p != path]
     assert [name for name in left if not (name.startswith(".") and name.endswith(".tmp"))] == []
     assert len(left) == 1
     with pytest.raises(SimgapError, match="no file matches"):
-        files.read_recordings(path.parent, SCHEMA, 0.1)
+        read_recordings(path.parent, SCHEMA, 0.1)
     under_way = path.parent / left[0].replace(f"-{done_by(left[0])}-", f"-{os.getpid()}-")
     under_way.touch()
-    files.remove_unfinished(tmp_path)
+    remove_unfinished(tmp_path)
     assert {p.name for p in path.parent.iterdir()} == {path.name, under_way.name}
 
 
@@ -99,23 +105,23 @@ def done_by(name: str) -> str:
 def test_a_file_where_a_folder_must_be_is_told_of(tmp_path: Path) -> None:
     (tmp_path / "models").write_text("")
     with pytest.raises(SimgapError, match=r"x\.npz: cannot be written \(.*start again"):
-        files.save_arrays(tmp_path / "models" / "x.npz", ARRAYS)
+        save_arrays(tmp_path / "models" / "x.npz", ARRAYS)
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not an archive", None])
 def test_a_damaged_artifact_counts_as_none(tmp_path: Path, damage: bytes | None) -> None:
     record, arrays = tmp_path / "cell.json", tmp_path / "cell.npz"
-    files.save_arrays(arrays, ARRAYS)
-    files.write_json(record, {"fingerprint": "f"})
-    assert files.fingerprint_of(record, arrays) == "f"
+    save_arrays(arrays, ARRAYS)
+    write_json(record, {"fingerprint": "f"})
+    assert fingerprint_of(record, arrays) == "f"
     whole = arrays.read_bytes()
     arrays.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
-    assert files.fingerprint_of(record, arrays) is None
+    assert fingerprint_of(record, arrays) is None
     arrays.write_bytes(whole)
     record.write_text('{"fingerpr')
-    assert files.fingerprint_of(record, arrays) is None
+    assert fingerprint_of(record, arrays) is None
     record.write_text("[1]")
-    assert files.fingerprint_of(record, arrays) is None
+    assert fingerprint_of(record, arrays) is None
 
 
 def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
@@ -127,7 +133,7 @@ def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
     (tmp_path / "y.npz").write_bytes(pickle.dumps(Bomb()))
     for name in ("x.npz", "y.npz"):
         with pytest.raises(SimgapError, match="is no whole file of arrays"):
-            files.load_arrays(tmp_path / name)
+            load_arrays(tmp_path / name)
     assert not (tmp_path / "exploded").exists()
 
 
@@ -416,7 +422,7 @@ def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path, monk
     store = tracking.open_store(root, "grid")
     from test_files import fitted_spot
 
-    files.save_model(tmp_path / "model.npz", fitted_spot())
+    save_model(tmp_path / "model.npz", fitted_spot())
     for sweep in ("one", "other"):
         with tracking.cell_run(store, "none", "cell", {}) as run:
             run.model(tmp_path / "model.npz", [f"x{i}" for i in range(31)], [f"y{i}" for i in range(13)])

@@ -24,7 +24,8 @@ from simgap.recordings import Normalisation
 from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import DivergenceError, SimgapError
-from tasks import files, pyfunc, tracking
+from tasks import pyfunc, tracking
+from tasks.files.models import save_model
 from tasks.tracking import Run, Store
 
 OUTPUTS = SCHEMA.encoded
@@ -155,7 +156,7 @@ def test_the_latest_run_is_found_by_its_tags(store: Store):
 
 
 def test_threads_log_cells_at_once(store: Store, tmp_path: Path):
-    files.save_model(tmp_path / "model.npz", fitted_spot())
+    save_model(tmp_path / "model.npz", fitted_spot())
 
     def log(k: int) -> Run:
         with tracking.cell_run(pickle.loads(pickle.dumps(store)), "none", f"thread-{k}", {}) as run:
@@ -222,7 +223,7 @@ def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):
 def test_a_logged_model_loads_and_predicts(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: models.Model
 ):
-    files.save_model(tmp_path / "model.npz", model)
+    save_model(tmp_path / "model.npz", model)
     with tracking.cell_run(store, "none", "model", {}) as run:
         run.params({"seed": 1})
         uri = run.model(tmp_path / "model.npz", INPUTS, OUTPUTS)
