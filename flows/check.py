@@ -2,14 +2,15 @@
 
 from pathlib import Path
 
-from tasks import check, progress, simulators
+from tasks import check, progress
 from tasks.files.folders import make_folder
 from tasks.files.recordings import printable
+from tasks.simulators import loading
 
 
 def check_folder(folder: Path, simulator: str, out: Path) -> None:
     """Print what looks wrong, and write the page."""
-    used = simulators.load(simulator)
+    used = loading.load(simulator)
     checked = check.check(folder, used)
     make_folder(out)
     path = check.write(out, printable(folder.resolve().name), checked, used)

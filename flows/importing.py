@@ -2,15 +2,16 @@
 
 from pathlib import Path
 
-from flows.start import alone
+from flows.locks import alone
 from simgap.types import RecordingError
-from tasks import importing, progress, sessions, simulators
+from tasks import importing, progress, sessions
 from tasks.files.recordings import session_name, session_names
+from tasks.simulators import loading
 
 
 def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
     """Every session of `source` as the mapping file says; one that cannot be used is told of, and loses no other."""
-    schema = simulators.load(simulator).schema
+    schema = loading.load(simulator).schema
     mapping = importing.read_mapping(mapping_file, schema)
     paths = sessions.sources(source)
     rows: dict[str, int] = {}

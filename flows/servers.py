@@ -23,8 +23,8 @@ from typing import NamedTuple
 import psutil
 
 from flows import guard, running
+from flows.errors import guarded
 from flows.running import LOGS, pid_file
-from flows.start import guarded
 from simgap.types import SimgapError
 from tasks import progress
 from tasks.files.documents import write_bytes
@@ -79,9 +79,9 @@ def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
         if not DATABASE.exists():
-            from tasks import tracking  # seconds of imports, for the first time alone
+            from tasks.tracking.store import make_database  # seconds of imports, for the first time alone
 
-            tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
+            make_database(DATABASE.absolute(), Path("mlruns").absolute())
         keep_private(DATABASE)
         for server in servers:
             _start(server, login)

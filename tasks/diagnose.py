@@ -11,13 +11,15 @@ from prefect import task
 from simgap.derived import derived, sentence
 from simgap.diagnosis.diagnose import Diagnosis, diagnose, split
 from simgap.types import Recording, RecordingError, Schema, StepModel
-from tasks import fingerprint, tracking
+from tasks import fingerprint
 from tasks.diagnosis_page import page
 from tasks.files.arrays import save_arrays
 from tasks.files.documents import write_json, write_table, write_text
 from tasks.files.effects import scale_arrays
 from tasks.files.folders import remove_file
 from tasks.files.recordings import read_recordings
+from tasks.tracking.models import log_simulator
+from tasks.tracking.runs import Run
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
 """What a diagnosis leaves in its folder; the experiment only where there is one to make."""
@@ -106,7 +108,7 @@ def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
 
 
 @task(task_run_name="log-recordings-{name}", retries=1)
-def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
+def log_recordings(run: Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
     """What is diagnosed, before it is: a run that fails says as much."""
     run.tags({"config": fingerprint.configuration_of_diagnosis(name, folders, seed)})
     run.params(
@@ -126,7 +128,7 @@ def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Ses
 
 
 @task(task_run_name="log-{folder.name}", retries=1)
-def log(run: tracking.Run, folder: Path, found: Diagnosis, schema: Schema, seconds: float) -> None:
+def log(run: Run, folder: Path, found: Diagnosis, schema: Schema, seconds: float) -> None:
     """Verdict, effects, held-out scores, the augmented simulator as a model; and the files that `write` wrote."""
     statement = found.statement
     effects = [effect["id"] for effect in statement["effects"]]
@@ -136,7 +138,7 @@ def log(run: tracking.Run, folder: Path, found: Diagnosis, schema: Schema, secon
     for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
         if (folder / name).exists():
             run.artifact(folder / name)
-    run.simulator(folder / MODEL, statement["simulator"], schema)
+    log_simulator(run, folder / MODEL, statement["simulator"], schema)
 
 
 def scores(statement: dict[str, Any]) -> Iterator[tuple[str, float]]:

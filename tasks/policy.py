@@ -14,7 +14,7 @@ from simgap.policies.learn import Training
 from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Report
-from tasks import tracking, transitions
+from tasks import transitions
 from tasks.cells import Curve, finished, may_pass
 from tasks.files.arrays import load_arrays, save_arrays
 from tasks.files.digests import fingerprint_of
@@ -23,6 +23,8 @@ from tasks.files.folders import remove_file
 from tasks.files.models import load_model, save_policy
 from tasks.fingerprint import configuration_of_policy, of_policy, relevant_policy_params
 from tasks.params import PolicyParams
+from tasks.tracking.models import log_policy
+from tasks.tracking.runs import Run, cell_run
 from tasks.train import Job
 from tasks.workspace import Cell, Workspace
 
@@ -30,7 +32,7 @@ from tasks.workspace import Cell, Workspace
 class Grid(NamedTuple):
     """What the policies share: the run of the whole grid in MLflow, its tags, the digest of the code."""
 
-    run: tracking.Run
+    run: Run
     tags: dict[str, str]
     code: str
 
@@ -133,13 +135,13 @@ def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags
     record = read_json(workspace.policy_record(cell))
     config = configuration_of_policy(cell, params)
     tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": config}
-    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
+    with cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
         run.params({**cell._asdict(), **relevant_policy_params(params)})
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)
         run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
         run.scores({name: record[name] for name in ("seconds", "steps", "return", "lost")})
-        run.policy(workspace.policy(cell), input_columns(), [field.name for field in SCHEMA.command])
+        log_policy(run, workspace.policy(cell), input_columns(), [field.name for field in SCHEMA.command])
 
 
 def input_columns() -> tuple[str, ...]:

@@ -8,11 +8,13 @@ from prefect import task
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, Transitions
-from tasks import tracking, transitions
+from tasks import transitions
 from tasks.files.documents import read_json, write_json
 from tasks.files.models import load_model
 from tasks.files.recordings import read_recordings
 from tasks.params import ScoreParams
+from tasks.tracking.runs import Run, latest_run
+from tasks.tracking.store import Store
 from tasks.workspace import Cell, Workspace
 
 TABLE = "scores.json"
@@ -49,14 +51,14 @@ def score_cell(
 
 @task(task_run_name="log-scores-{cell.name}{workspace.suffix}", retries=1)
 def log_scores(
-    workspace: Workspace, cell: Cell, row: dict[str, Any], store: tracking.Store, parent_run_id: str | None = None
-) -> tracking.Run | None:
+    workspace: Workspace, cell: Cell, row: dict[str, Any], store: Store, parent_run_id: str | None = None
+) -> Run | None:
     """Add the scores to the cell's latest run in MLflow, of that parent where it is given; returns the run.
 
     A model from DVC's cache may have none in this store.
     """
     mark = {"fingerprint": read_json(workspace.record(cell))["fingerprint"]}
-    run = tracking.latest_run(store, mark, parent_run_id)
+    run = latest_run(store, mark, parent_run_id)
     if run:
         run.scores({name: value for name, value in row.items() if name not in (*cell._fields, "effects")})
     return run

@@ -5,7 +5,9 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-from flows.start import add_overrides, check_files, guarded, held, prepared, read_overrides
+from flows.errors import guarded
+from flows.locks import held
+from flows.start import add_overrides, check_files, prepared, read_overrides
 from tasks.sealed.workspace import SUITES, SealedWorkspace
 
 PARAMS = Path("sealed/params.yaml")

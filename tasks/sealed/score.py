@@ -12,7 +12,6 @@ from concealed.case import features, noise_of
 from concealed.plain import STATE, observer, refit, robot, whitened
 from concealed.strength import UNLIKE, UNSURE
 from simgap.types import SimgapError
-from tasks import tracking
 from tasks.files.atomic import replacing_folder
 from tasks.files.documents import read_bytes, read_json, write_json, write_table, write_text
 from tasks.params import SealedScoreParams
@@ -20,6 +19,7 @@ from tasks.sealed import baselines, figures, metrics, report
 from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, judge, overlap, rows_of
 from tasks.sealed.workspace import SealedWorkspace
+from tasks.tracking.runs import Run
 
 
 class Opened(NamedTuple):
@@ -135,7 +135,7 @@ def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Pa
 
 
 @task(task_run_name="log-{workspace.suite}", retries=1)
-def log(run: tracking.Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
+def log(run: Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
     """Scores and report of the suite, so that versions of the diagnosis are compared over time."""
     run.params({"suite": workspace.suite, "round": opened.manifest["round"], "code": opened.code})
     run.scores({_metric(s.name): s.value for s in table if s.n})

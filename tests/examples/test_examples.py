@@ -20,7 +20,8 @@ from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording
 from tasks.files.recordings import read_recordings, write_recording
-from tasks.simulators import check, load
+from tasks.simulators.checks import check
+from tasks.simulators.loading import load
 
 ROOT = Path(__file__).parents[2]
 QUIET_DRIVE = DriveConfig(position_noise=0.0, velocity_noise=0.0)

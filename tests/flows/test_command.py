@@ -131,7 +131,7 @@ def started(command: list[str], folder: Path) -> subprocess.Popen[str]:
 
 def test_ctrl_c_ends_the_trial_of_an_endless_step(folder: Path) -> None:
     with started([SIMGAP, "check", "rail", "--simulator", "endless:Mine"], folder) as process:
-        _until(process, lambda: b"tasks.trial" in _children(process))
+        _until(process, lambda: b"tasks.simulators.trial" in _children(process))
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "stopped\n")

@@ -15,7 +15,7 @@ from mlflow import MlflowClient
 from simgap.diagnosis.diagnose import diagnose, split
 from simgap.types import Recording
 from tasks.files.documents import read_json
-from tasks.simulators import find, make
+from tasks.simulators.loading import find, make
 
 SIMULATOR = """
 import jax.numpy as jnp
