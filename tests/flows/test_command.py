@@ -106,7 +106,7 @@ def test_code_that_is_no_simulator_ends_in_a_message(folder: Path, spec: str, wo
     assert "Traceback" not in done.stdout + done.stderr
 
 
-GUARDED = "import flows\nfrom flows.start import guarded\n"
+GUARDED = "import flows\nfrom flows.errors import guarded\n"
 ENDLESS = (
     GUARDED
     + """
