@@ -23,8 +23,8 @@ from concealed.plain import (
     turned,
     wrapped,
 )  # fmt: skip
-from concealed.robot import Chance, Gate, Tape, run
-from concealed.strength import reach_for, strengths
+from concealed.robot import Chance, Gate, Setting, Tape, run
+from concealed.strength import Plain, reach_for, strengths
 
 SIZES = {"usual": (8, 321), "few": (4, 161)}
 """Sessions and rows of each."""
@@ -106,20 +106,21 @@ def conceal(recipe: Recipe, seed: int) -> Case:
         many = robot(np.repeat(of.flat, size.batch, axis=0))
         drawn = Chance(*(np.tile(a, (size.copies, 1, 1)) for a in chance)) if noisy else _silence(size)
         spread = np.repeat(magnitude, sessions, axis=0)
-        return run(many, forms, gate, operate, np.tile(first, (size.copies, 1)), noise, drawn, size, spread)
+        setting = Setting(many, operate, np.tile(first, (size.copies, 1)), noise, drawn, size)
+        return run(setting, forms, spread, gate)
 
     gate, when = _gate(recipe, gate_rng, sessions, rows, lambda: play([], np.zeros((1, 0)), False, None))
-    size = Size(sessions, 1, rows)
+    plain = Plain(of, by, noise, Size(sessions, 1, rows))
 
     def found(forms: Sequence[Form], target: float) -> tuple[float, float]:
         scales = np.array([[form.scale for form in forms]])
         quiet = lambda f, m: play(f, m, False, gate)  # noqa: E731
-        return reach_for(target, lambda factor: float(strengths(of, by, noise, size, forms, quiet, factor * scales)[0]))
+        return reach_for(target, lambda factor: float(strengths(plain, forms, quiet, factor * scales)[0]))
 
     alone = [found([form], recipe.target) for form in forms]
     magnitude = np.array([[factor * form.scale for form, (factor, _) in zip(forms, alone, strict=True)]])
     if len(forms) > 1:
-        total = float(strengths(of, by, noise, size, forms, lambda f, x: play(f, x, False, gate), magnitude)[0])
+        total = float(strengths(plain, forms, lambda f, x: play(f, x, False, gate), magnitude)[0])
     else:
         total = alone[0][1] if alone else 0.0
     both = play(forms, np.concatenate([0 * magnitude, magnitude]), True, gate)

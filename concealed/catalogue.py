@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from concealed.form import Form
-from concealed.forms import arm, command_path, ground, measuring, outside
+from concealed.forms import arm, command_dynamics, gains, ground, measuring, nonlinearities, outside
 
 Make = Callable[[np.random.Generator], Form]
 
@@ -15,17 +15,17 @@ def _plain(form: type[Form]) -> Make:
 
 
 FORMS: dict[str, tuple[Make, ...]] = {
-    "delay": (command_path.Delay,),
-    "lag": (command_path.Lag,),
-    "rate_limit": (command_path.RateLimit,),
-    "saturation": (command_path.Saturation,),
-    "deadband": (command_path.Deadband,),
-    "backlash": (command_path.Backlash,),
-    "quantization": (command_path.Quantization,),
-    "gain": (command_path.Gain,),
-    "asymmetric_gain": (command_path.AsymmetricGain,),
-    "gain_drift": (command_path.GainDrift,),
-    "dropout": (command_path.Dropout,),
+    "delay": (command_dynamics.Delay,),
+    "lag": (command_dynamics.Lag,),
+    "rate_limit": (command_dynamics.RateLimit,),
+    "saturation": (nonlinearities.Saturation,),
+    "deadband": (nonlinearities.Deadband,),
+    "backlash": (nonlinearities.Backlash,),
+    "quantization": (nonlinearities.Quantization,),
+    "gain": (gains.Gain,),
+    "asymmetric_gain": (gains.AsymmetricGain,),
+    "gain_drift": (gains.GainDrift,),
+    "dropout": (command_dynamics.Dropout,),
     "coulomb_friction": (ground.StickSlip,),
     "viscous_drag": (ground.Viscous,),
     "quadratic_drag": (ground.Quadratic,),
@@ -33,7 +33,7 @@ FORMS: dict[str, tuple[Make, ...]] = {
     "payload": (arm.Payload,),
     "arm_base_coupling": (_plain(arm.Reaction),),
     "base_arm_coupling": (_plain(arm.Dragged),),
-    "cross_axis_coupling": (command_path.CrossAxis,),
+    "cross_axis_coupling": (gains.CrossAxis,),
     "rotation_centre": (ground.OffCentre,),
     "centripetal": (_plain(arm.Thrown),),
     "slip": (_plain(ground.Slip),),
@@ -44,7 +44,7 @@ FORMS: dict[str, tuple[Make, ...]] = {
     "ground_contact": (arm.Floor,),
     "gait_oscillation": (ground.Gait,),
     "relative_smoothing": (_plain(arm.OwnMemory), _plain(arm.BodyMemory)),
-    "frame_misalignment": (command_path.Misaligned,),
+    "frame_misalignment": (gains.Misaligned,),
     "sampling_interval": (_plain(measuring.Stalls),),
     "integration_rule": (_plain(measuring.OldVelocity),),
     "motion_dependent_noise": (measuring.Shaking,),

@@ -38,17 +38,26 @@ class Chance(NamedTuple):
     outliers: Array
 
 
-def run(
-    of: Robot, forms: Sequence[Form], gate: Gate | None, operate: Operator, first: Array, noise: Noise, chance: Chance,
-    size: Size, magnitude: Array,
-) -> Tape:  # fmt: skip
-    """Rows of a session, from the true state `first` [B, 12], at a magnitude [B, F] for every form."""
+class Setting(NamedTuple):
+    """What a run has whatever is concealed in it: robot, operator, true first state [B, 12], noise, chance, size."""
+
+    robot: Robot
+    operate: Operator
+    first: Array
+    noise: Noise
+    chance: Chance
+    size: Size
+
+
+def run(setting: Setting, forms: Sequence[Form], magnitude: Array, gate: Gate | None) -> Tape:
+    """Rows of a session, at a magnitude [B, F] for every form; without a gate the forms always act."""
     hooks = {h: [f for f in forms if f.overrides(h)] for h in Form.hooks}
-    rows, batch = size.rows, size.batch
+    noise, chance = setting.noise, setting.chance
+    rows, batch = setting.size.rows, setting.size.batch
     true, seen = np.empty((rows, batch, 12)), np.empty((rows, batch, 12))
     sent, gated = np.empty((rows, batch, 6)), np.ones((rows, batch))
     now = Now()
-    now.x, now.own = first.copy(), np.zeros((batch, 3))
+    now.x, now.own = setting.first.copy(), np.zeros((batch, 3))
     for f, m in zip(forms, magnitude.T, strict=True):
         f.m = m
     for t in range(rows):
@@ -62,14 +71,14 @@ def run(
         y = y + spread + chance.outliers[:, t]
         y[:, 2] = (y[:, 2] + np.pi) % (2 * np.pi) - np.pi
         seen[t] = y
-        sent[t] = operate(t, y)
+        sent[t] = setting.operate(t, y)
         if gate is not None:
             gated[t] = gate(t, now.x, sent[t])
             for f, m in zip(forms, magnitude.T, strict=True):
                 f.m = m * gated[t]
         if t < rows - 1:
             now.t, now.sent = t, sent[t]
-            now.x = _row(of, now, hooks, noise.process * chance.process[:, t])
+            now.x = _row(setting.robot, now, hooks, noise.process * chance.process[:, t])
     order = lambda a: np.ascontiguousarray(np.swapaxes(a, 0, 1))  # noqa: E731
     return Tape(order(seen), order(true), order(sent), np.ascontiguousarray(gated.T))
 
@@ -87,10 +96,11 @@ def _row(of: Robot, now: Now, hooks: dict[str, list[Form]], process: Array) -> A
     for f in hooks["command"]:
         u = f.command(now, u)
     rate = now.alpha ** (now.duration[:, None] / K)
-    base = _relax(now, hooks, "base", x[:, V_BASE], u[:, :, :3], rate[:, :3], of.beta[:, :3] / (1 - now.alpha[:, :3]))
+    still = of.beta[:, :3] / (1 - now.alpha[:, :3])
+    base = _relax(now, hooks, "base", u[:, :, :3], _Relaxation(x[:, V_BASE], rate[:, :3], still))
     base = base + process[:, V_BASE]
     moved = (of.beta[:, 6:9] + carried(base, lever)) / (1 - now.alpha[:, 3:])
-    hand = _relax(now, hooks, "ee", x[:, V_EE], u[:, :, 3:], rate[:, 3:], moved)
+    hand = _relax(now, hooks, "ee", u[:, :, 3:], _Relaxation(x[:, V_EE], rate[:, 3:], moved))
     now.own = turned(-yaw, hand - moved)
     hand = hand + process[:, V_EE]
     velocity = np.concatenate([base, hand], axis=1)
@@ -111,13 +121,21 @@ def _row(of: Robot, now: Now, hooks: dict[str, list[Form]], process: Array) -> A
     return np.clip(np.nan_to_num(out, nan=LIMIT), -LIMIT, LIMIT)
 
 
-def _relax(
-    now: Now, hooks: dict[str, list[Form]], part: str, start: Array, u: Array, rate: Array, offset: Array
-) -> Array:
-    """Velocity in the world frame at the row's end, driven by commands over substeps; `offset` shifts the target.
+class _Relaxation(NamedTuple):
+    """How a velocity follows its command: from `start` [B, 3], what is missing to the command plus `offset` [B, 3] is
+    multiplied by `rate` [B, 3] in every substep."""
+
+    start: Array
+    rate: Array
+    offset: Array
+
+
+def _relax(now: Now, hooks: dict[str, list[Form]], part: str, u: Array, relaxation: _Relaxation) -> Array:
+    """Velocity in the world frame at the row's end, driven by commands over substeps.
 
     Forms see the velocity less the offset, in the body frame: of the hand that is the velocity of the arm by itself.
     """
+    start, rate, offset = relaxation
     drives, grips, v = hooks["drive"], hooks["grip"], start
     cos, sin = np.cos(now.yaw), np.sin(now.yaw)
     path = np.empty((SUBSTEPS, *start.shape))

@@ -42,10 +42,18 @@ class Found(NamedTuple):
     nats: float
 
 
-def strengths(
-    of: Robot, by: Observer, noise: Noise, size: Size, forms: Sequence[Form], run: Run, magnitude: Array
-) -> Array:
-    """Strength [M] at every magnitude [M, F]; `by`: the filters that the plain robot may have."""
+class Plain(NamedTuple):
+    """What is refitted: the plain robot, the filters that it may have, its noise, and the size of its recordings."""
+
+    robot: Robot
+    filters: Observer
+    noise: Noise
+    size: Size
+
+
+def strengths(plain: Plain, forms: Sequence[Form], run: Run, magnitude: Array) -> Array:
+    """Strength [M], in nats, at every magnitude [M, F]."""
+    of, by, noise, size = plain
     tape, copies, filters = run(forms, magnitude), len(magnitude), len(by.gain)
     split = lambda a: np.repeat(a.reshape(copies, size.sessions, *a.shape[1:]), filters, axis=0)  # noqa: E731
     each = Observer(*(np.tile(a, (copies, 1, 1, 1)) for a in by))

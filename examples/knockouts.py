@@ -17,10 +17,10 @@ from pathlib import Path
 
 from jaxtyping import Array, Float
 
-from flows.start import guarded
+from flows.errors import guarded
 from simgap.simulators.spot import SCHEMA, Spot, induced_velocity
 from simgap.types import Recording
-from tasks.files import read_recordings, write_recording
+from tasks.files.recordings import read_recordings, write_recording
 
 
 @dataclass(frozen=True)

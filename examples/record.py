@@ -20,7 +20,7 @@ from jaxtyping import Float
 from examples.car import CAR
 from examples.drive import DRIVE
 from simgap.types import Recording, StepModel
-from tasks import files
+from tasks.files.recordings import write_recording
 
 FINE = 0.001
 """Time step of the integration [s]."""
@@ -137,7 +137,7 @@ def record(machine: str, folder: Path, sessions: int, seconds: float, seed: int)
     for i, rng in enumerate(np.random.default_rng(seed).spawn(sessions)):
         states, commands = session(rng, rows, simulator.time_step)
         recording = Recording(f"{machine}_{i + 1:02d}", np.arange(rows) * simulator.time_step, states, commands)
-        paths.append(files.write_recording(folder, recording, simulator.schema))
+        paths.append(write_recording(folder, recording, simulator.schema))
     return paths
 
 

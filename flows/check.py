@@ -2,15 +2,18 @@
 
 from pathlib import Path
 
-from tasks import check, files, progress, simulators
+from tasks import check, progress
+from tasks.files.folders import make_folder
+from tasks.files.recordings import printable
+from tasks.simulators import loading
 
 
 def check_folder(folder: Path, simulator: str, out: Path) -> None:
     """Print what looks wrong, and write the page."""
-    used = simulators.load(simulator)
+    used = loading.load(simulator)
     checked = check.check(folder, used)
-    files.make_folder(out)
-    path = check.write(out, files.printable(folder.resolve().name), checked, used)
+    make_folder(out)
+    path = check.write(out, printable(folder.resolve().name), checked, used)
     for error in checked.left_out:
         progress.say(f"left out: {error}")
     for finding in checked.findings:

@@ -5,8 +5,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flows.start import PARAMS, check_files, guarded, prepared
-from tasks import sessions, trial
+from flows.errors import guarded
+from flows.start import PARAMS, check_files, prepared
+from tasks import sessions
+from tasks.simulators import trial
 
 
 def main() -> None:

@@ -12,14 +12,17 @@ from flows import policy as policy_flow
 from flows import provenance, train
 from flows import reproduce as reproduce_flow
 from flows import track as track_flow
-from flows.start import PARAMS, alone
+from flows.locks import alone
+from flows.start import PARAMS
 from flows.sweep import prepare
 from simgap.types import SimgapError
-from tasks import artifacts, diagnose, files, forms, score, sweep, tracking
+from tasks import artifacts, diagnose, forms, score, sweep
 from tasks import track as track_tasks
-from tasks.forms import Models, Noises, Recordings, SampleSizes, Seeds
-from tasks.params import NoiseName, Params, load_params
-from tasks.ranges import RANGES, Seed
+from tasks.files.documents import read_json
+from tasks.forms import Models, Noises, Policies, Recordings, SampleSizes, Seeds
+from tasks.params import Params, load_params
+from tasks.ranges import Seed
+from tasks.tracking import links
 from tasks.workspace import Workspace
 
 Overrides = Annotated[dict[str, Any], Field(default_factory=dict)]
@@ -64,12 +67,12 @@ def _show(workspace: Workspace) -> None:
     name, own = workspace.root.name, f"tags.workspace = '{workspace.root}'"
     models, policies = provenance.store(), provenance.store(policy_flow.EXPERIMENT)
     if (workspace.scores / score.TABLE).exists():
-        rows = sweep.table(sweep.rows(workspace, models), lambda row: f"[MLflow]({tracking.link(models, row.run_id)})")
+        rows = sweep.table(sweep.rows(workspace, models), lambda row: f"[MLflow]({links.to_run(models, row.run_id)})")
         artifacts.table("reproduce-results", rows, f"Reproduction {name}, best first")
     written = {"report": workspace.reports / "report.md", "tracking": workspace.tracking / "report.md",
                "diagnosis": workspace.diagnosis / diagnose.PAGE}  # fmt: skip
-    pages = {"models in MLflow": tracking.compare(models, name, own, tracking.MODELS),
-             "policies in MLflow": tracking.compare(policies, name, own, tracking.POLICIES)}  # fmt: skip
+    pages = {"models in MLflow": links.to_comparison(models, name, own, links.MODEL_COLUMNS),
+             "policies in MLflow": links.to_comparison(policies, name, own, links.POLICY_COLUMNS)}  # fmt: skip
     places = {what: str(path) for what, path in written.items() if path.exists()}
     artifacts.links("reproduce-links", {**pages, **places}, f"Reproduction {name}")
 
@@ -77,41 +80,29 @@ def _show(workspace: Workspace) -> None:
 @flow(name="track")
 def track(
     recordings: Recordings,
-    noise: NoiseName,
-    models: Models,
-    sample_sizes: SampleSizes,
-    seeds: Seeds,
-    environment_steps: Annotated[int, Field(**RANGES["environment_steps"])],
-    learning_rate: Annotated[float, Field(**RANGES["learning_rate_policy"])],
+    policies: Policies,
     overrides: Overrides,
 ) -> None:
     """Learn models, in each a policy, and run the policies on the virtual Spot along an ellipse and a helix.
 
     Args:
         recordings: What to learn from.
-        noise: Family of the likelihood of the models that policies learn in.
-        models: How the models learn.
-        sample_sizes: N, transitions that the models learn from.
-        seeds: Of models and policies.
-        environment_steps: At most so many for a policy.
-        learning_rate: Of soft actor-critic: actor, critics and temperature.
+        policies: The policies to learn, and the models to learn them in.
         overrides: Anything else of params.yaml, merged in and checked as the file is; the form's
             own fields win.
     """
-    root, source, grid = _root(), recordings.source, {"models": models, "sample_sizes": sample_sizes, "seeds": seeds}
-    rates = {f"learning_rate_{part}": learning_rate for part in ("alpha", "policy", "q")}
-    learning = {**grid, "noise": noise, "learning": {"environment_steps": environment_steps}, "sac": rates}
-    params = _params(recordings, {"train": {**grid, "noises": [noise]}, "policy": learning}, overrides)
+    root, source = _root(), recordings.source
+    params = _params(recordings, policies.overrides(), overrides)
     with alone(root, source):
         prepare(source, params, root)
         train.run(source, params, root)
         policy_flow.run(source, params, root)
         workspace, store = Workspace(root, source), provenance.store(policy_flow.EXPERIMENT)
         rows = track_flow.run(source, params, root)
-        best = track_tasks.register_best(workspace, rows, noise, root.name, store)
+        best = track_tasks.register_best(workspace, rows, policies.noise, root.name, store)
         artifacts.table("tracking-results", rows, f"Tracking {root.name}")
-        places = {"the best policy in MLflow": tracking.link(store, best),
-                  "compare": tracking.compare(store, root.name, f"tags.workspace = '{root}'", tracking.POLICIES),
+        places = {"the best policy in MLflow": links.to_run(store, best),
+                  "compare": links.to_comparison(store, root.name, f"tags.workspace = '{root}'", links.POLICY_COLUMNS),
                   "report": f"{workspace.tracking}/report.md"}  # fmt: skip
         artifacts.links("track-links", places, f"Tracking {root.name}")
 
@@ -137,10 +128,10 @@ def diagnose_recordings(
     before, judges = (forms.inside(path) if path else None for path in (baseline, heldout))
     run_id = diagnose_flow.diagnose_folder.fn(forms.inside(recordings), simulator, before, judges, root, seed)
     store = provenance.store(diagnose_flow.EXPERIMENT)
-    statement = files.read_json(root / diagnose.STATEMENT)["statement"]
+    statement = read_json(root / diagnose.STATEMENT)["statement"]
     same = f"params.recordings = '{recordings}'"
-    places = {"MLflow": tracking.link(store, run_id), "page": str(root / diagnose.PAGE),
-              "diagnoses of these recordings": tracking.compare(store, root.name, same, tracking.DIAGNOSES),
+    places = {"MLflow": links.to_run(store, run_id), "page": str(root / diagnose.PAGE),
+              "diagnoses of these recordings": links.to_comparison(store, root.name, same, links.DIAGNOSIS_COLUMNS),
               }  # fmt: skip
     artifacts.links("diagnosis-links", places, statement)
 

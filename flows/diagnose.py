@@ -12,12 +12,16 @@ from typing import NamedTuple
 from prefect import flow
 
 from flows import provenance
-from flows.start import alone
+from flows.locks import alone
 from simgap.simulators.spot import Spot
 from simgap.types import StepModel
-from tasks import diagnose, files, progress, simulators, tracking
+from tasks import diagnose, progress
 from tasks.diagnose import Folders
+from tasks.files.folders import make_folder
 from tasks.params import Params
+from tasks.simulators import loading
+from tasks.tracking import links
+from tasks.tracking.runs import diagnosis_run
 from tasks.workspace import Workspace
 
 EXPERIMENT = "diagnosis"
@@ -38,12 +42,12 @@ def run(source: str, params: Params, root: Path) -> None:
 def diagnose_folder(
     recordings: Path, simulator: str, baseline: Path | None, heldout: Path | None, out: Path, seed: int = 0
 ) -> str:
-    """Say what a simulator, given as `tasks.simulators.load` takes it, leaves out of a folder's sessions.
+    """Say what a simulator, given as `tasks.simulators.loading.load` takes it, leaves out of a folder's sessions.
 
     Returns the run's id in MLflow.
     """
     folders = Folders(recordings, heldout, baseline)
-    asked = _Asked(recordings.resolve().name, simulator, simulators.load(simulator), folders, seed)
+    asked = _Asked(recordings.resolve().name, simulator, loading.load(simulator), folders, seed)
     sessions = _read(asked)
     with alone(out):
         return _diagnose(asked, sessions, out, provenance.origin())
@@ -71,9 +75,9 @@ def _read(asked: _Asked) -> diagnose.Sessions:
 def _diagnose(asked: _Asked, sessions: diagnose.Sessions, out: Path, tags: dict[str, str]) -> str:
     """Diagnose, write to `out`, log; returns the run's id in MLflow."""
     label, name, simulator, folders, seed = asked
-    files.make_folder(out)  # before the work, not after it
+    make_folder(out)  # before the work, not after it
     store = provenance.store(EXPERIMENT)
-    with tracking.diagnosis_run(store, f"{label}-{name}", tags) as tracked:
+    with diagnosis_run(store, f"{label}-{name}", tags) as tracked:
         diagnose.log_recordings(tracked, name, folders, sessions, seed)
         start = time.perf_counter()
         found = diagnose.find(simulator, name, sessions, seed, lambda line: progress.say(f"  {line}"))
@@ -83,7 +87,7 @@ def _diagnose(asked: _Asked, sessions: diagnose.Sessions, out: Path, tags: dict[
     shown = [("page", diagnose.PAGE), ("data", diagnose.STATEMENT), ("commands", diagnose.EXPERIMENT)]
     places = "\n".join(f"{what:10}{out / file}" for what, file in shown if (out / file).exists())
     progress.say(
-        f"\n{found.statement['statement']}\n\n{places}\n{'MLflow':10}{tracking.link(store, tracked.run_id)}\n"
+        f"\n{found.statement['statement']}\n\n{places}\n{'MLflow':10}{links.to_run(store, tracked.run_id)}\n"
         f"({found.statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"
     )
     return tracked.run_id

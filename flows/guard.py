@@ -30,9 +30,9 @@ def prefect() -> ASGIApp:
 
 def mlflow() -> ASGIApp:
     """What `mlflow server` serves, guarded."""
-    from tasks import tracking
+    from tasks.tracking import links
 
-    return _guarded(tracking.pages(), os.environ.get(LOGIN))
+    return _guarded(links.application(), os.environ.get(LOGIN))
 
 
 def _guarded(app: ASGIApp, login: str | None) -> ASGIApp:

@@ -2,21 +2,23 @@
 
 from pathlib import Path
 
-from flows.start import alone
+from flows.locks import alone
 from simgap.types import RecordingError
-from tasks import files, importing, progress, sessions, simulators
+from tasks import importing, progress, sessions
+from tasks.files.recordings import session_name, session_names
+from tasks.simulators import loading
 
 
 def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
     """Every session of `source` as the mapping file says; one that cannot be used is told of, and loses no other."""
-    schema = simulators.load(simulator).schema
+    schema = loading.load(simulator).schema
     mapping = importing.read_mapping(mapping_file, schema)
     paths = sessions.sources(source)
     rows: dict[str, int] = {}
     errors: list[RecordingError] = []
     with alone(out):
         for path in paths:
-            name = files.session_name(source if path != source else source.parent, path)
+            name = session_name(source if path != source else source.parent, path)
             try:
                 rows |= importing.import_session(path, name, mapping, schema, out)
             except RecordingError as error:
@@ -25,7 +27,7 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
         progress.say(f"left out: {error}")
     if not rows:
         raise RecordingError(f"{source}: none of its {len(paths)} sessions can be used; the reasons are above.")
-    others = [name for name in files.session_names(out) if name not in rows]
+    others = [name for name in session_names(out) if name not in rows]
     if others:
         progress.say(f"warning: {out} holds {', '.join(others)} besides, which this import did not write. Remove what "
                      "is not to be used: a session that was cut otherwise before would be there twice.")  # fmt: skip

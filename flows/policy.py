@@ -12,8 +12,10 @@ from prefect import flow
 from flows import provenance
 from flows.fan_out import fan_out
 from simgap.types import SimgapError
-from tasks import fingerprint, policy, progress, tracking
+from tasks import fingerprint, policy, progress
 from tasks.params import Params
+from tasks.tracking import links
+from tasks.tracking.runs import grid_run
 from tasks.workspace import Workspace
 
 EXPERIMENT = "policies"
@@ -25,8 +27,8 @@ def run(source: str, params: Params, root: Path) -> None:
     workspace, cells = Workspace(root, source), policy.grid(params.policy)
     policy.remove_stale(workspace, cells)
     tags, store = provenance.tags(workspace, workspace.models), provenance.store(EXPERIMENT)
-    with tracking.grid_run(store, f"policies-{source}", params.policy.model_dump(), tags) as parent:
-        progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
+    with grid_run(store, f"policies-{source}", params.policy.model_dump(), tags) as parent:
+        progress.say(f"MLflow: {links.to_run(store, parent.run_id)}")
         grid = policy.Grid(parent, tags, fingerprint.code_digest(fingerprint.POLICY))
         work = {(workspace, cell): {"params": params.policy, "grid": grid} for cell in cells}
         failed = fan_out(f"policy on {source}", policy.learn_policy, work, params.policy.workers)

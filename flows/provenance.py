@@ -8,19 +8,20 @@ from prefect.runtime import flow_run
 
 from flows import running
 from simgap.types import ConfigError
-from tasks import tracking
+from tasks.tracking.runs import close_stale_runs
+from tasks.tracking.store import Store, open_store
 from tasks.workspace import Workspace
 from tasks.yaml_files import read_yaml
 
 EXPERIMENT = "model-validation"
 
 
-def store(experiment: str = EXPERIMENT) -> tracking.Store:
+def store(experiment: str = EXPERIMENT) -> Store:
     """The project's MLflow store, or the one that MLFLOW_TRACKING_URI names; runs left open by a kill are closed."""
     server = running.find("mlflow")
     pages = server.address if server else ""
-    opened = tracking.open_store(Path(), experiment, os.environ.get("MLFLOW_TRACKING_URI"), pages)
-    tracking.close_stale_runs(opened)
+    opened = open_store(Path(), experiment, os.environ.get("MLFLOW_TRACKING_URI"), pages)
+    close_stale_runs(opened)
     return opened
 
 

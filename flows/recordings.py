@@ -9,7 +9,8 @@ from pathlib import Path
 
 from prefect import flow
 
-from tasks import files, progress, recordings
+from tasks import progress, recordings
+from tasks.files.folders import remove_folder
 from tasks.params import Params, VirtualParams
 from tasks.workspace import Workspace
 
@@ -18,7 +19,7 @@ from tasks.workspace import Workspace
 def run(source: str, params: Params, root: Path) -> None:
     """Write the training and test sessions of a source in the documented format."""
     workspace, block = Workspace(root, source), params.source(source)
-    files.remove_folder(workspace.recordings, root)
+    remove_folder(workspace.recordings, root)
     if isinstance(block, VirtualParams):
         rows = recordings.record_virtual(workspace, block)
     else:

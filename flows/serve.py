@@ -12,10 +12,12 @@ from prefect.runner import Runner
 from prefect.types.entrypoint import EntrypointType
 
 from flows import deployments, sweep
+from flows.errors import guarded
 from flows.running import LOGS
-from flows.start import PARAMS, guarded
-from tasks import files, forms
-from tasks.params import Params, load_params
+from flows.start import PARAMS
+from tasks import forms
+from tasks.files.documents import write_text
+from tasks.params import load_params
 from tasks.yaml_files import read_yaml
 
 READY = LOGS / "deployments.ready"
@@ -56,7 +58,7 @@ async def _serve(deployments: list[RunnerDeployment], runs: int) -> None:
     runner = _Runner(name="simgap", limit=runs, pause_on_shutdown=False)
     for deployment in deployments:
         await runner.aadd_deployment(deployment)
-    files.write_text(READY, "")
+    write_text(READY, "")
     try:
         await runner.start()
     finally:
@@ -69,11 +71,12 @@ def made() -> list[RunnerDeployment]:
     for size, overrides in (("full", []), ("small", [read_yaml(Path("small.yaml"))])):
         params, rest = load_params(PARAMS, *overrides), forms.besides(overrides[0] if overrides else {})
         grid = forms.defaults(params, SOURCE)
+        tracking = {"recordings": grid["recordings"], "policies": forms.policies(params)}
         whole = {name: value for name, value in grid.items() if name != "hyperparameters"}
         for flow, values in (
             (sweep.run, grid),
             (deployments.reproduce, {**whole, "overrides": rest}),
-            (deployments.track, _tracking(params, grid["recordings"], rest)),
+            (deployments.track, {**tracking, "overrides": rest}),
         ):
             found.append(flow.to_deployment(size, parameters=values, entrypoint_type=EntrypointType.MODULE_PATH))
     found.append(
@@ -83,17 +86,6 @@ def made() -> list[RunnerDeployment]:
         )
     )  # fmt: skip
     return found
-
-
-def _tracking(params: Params, recordings: object, overrides: object) -> dict[str, object]:
-    policy = params.policy
-    return {
-        "recordings": recordings,
-        **{name: getattr(policy, name) for name in ("noise", "models", "sample_sizes", "seeds")},
-        "environment_steps": policy.learning.environment_steps,
-        "learning_rate": policy.sac.learning_rate_policy,
-        "overrides": overrides,
-    }
 
 
 if __name__ == "__main__":

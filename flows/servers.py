@@ -23,10 +23,12 @@ from typing import NamedTuple
 import psutil
 
 from flows import guard, running
+from flows.errors import guarded
 from flows.running import LOGS, pid_file
-from flows.start import guarded
 from simgap.types import SimgapError
-from tasks import files, progress
+from tasks import progress
+from tasks.files.documents import write_bytes
+from tasks.files.folders import keep_private, make_folder
 
 DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
@@ -67,20 +69,20 @@ def main() -> None:
 
 def up(host: str, prefect_port: int, mlflow_port: int, runs: int) -> None:
     """Start what is not running, wait until all of it is well, and say where it is."""
-    files.make_folder(LOGS)
+    make_folder(LOGS)
     known = next((there for name in _NAMES if (there := running.find(name))), None)
     if known and not known.login and not _loopback(host):
         raise SimgapError(f"The servers run without a login, on this machine alone. `make down` before HOST={host}.")
     login = known.login if known else None if _loopback(host) else running.new_login()
     servers = _servers(host, prefect_port, mlflow_port, runs, login)
-    files.keep_private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
+    keep_private(Path(servers[0].environment["PREFECT_HOME"]) / running.DATABASE)
     with Path("mlflow.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # MLflow's migrations die when two run them at once
         if not DATABASE.exists():
-            from tasks import tracking  # seconds of imports, for the first time alone
+            from tasks.tracking.store import make_database  # seconds of imports, for the first time alone
 
-            tracking.make_database(DATABASE.absolute(), Path("mlruns").absolute())
-        files.keep_private(DATABASE)
+            make_database(DATABASE.absolute(), Path("mlruns").absolute())
+        keep_private(DATABASE)
         for server in servers:
             _start(server, login)
     width = max(len(server.name) for server in servers)
@@ -179,7 +181,7 @@ def _start(server: Server, login: str | None) -> None:
             stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
     known = {"pid": process.pid, "created": process.create_time(), "address": server.address, "login": login}
-    files.write_bytes(pid_file(server.name), json.dumps(known).encode(), private=True)
+    write_bytes(pid_file(server.name), json.dumps(known).encode(), private=True)
     deadline = time.monotonic() + _HEALTHY_S
     while not server.healthy():
         if process.poll() is not None or time.monotonic() > deadline:

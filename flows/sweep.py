@@ -10,12 +10,17 @@ from prefect.runtime import flow_run
 from flows import provenance, transitions
 from flows import recordings as recordings_flow
 from flows.fan_out import Place
-from flows.start import PARAMS, alone
+from flows.locks import alone
+from flows.start import PARAMS
 from flows.train import told, train_cells
 from simgap.types import SimgapError
-from tasks import artifacts, files, forms, progress, score, sweep, tracking
+from tasks import artifacts, forms, progress, score, sweep
+from tasks.files.documents import write_json
 from tasks.forms import Hyperparameters, Models, Noises, Recordings, SampleSizes, Seeds
 from tasks.params import Params, load_params
+from tasks.tracking import links
+from tasks.tracking.runs import Run, grid_run
+from tasks.tracking.store import Store
 from tasks.workspace import Workspace
 
 
@@ -48,7 +53,7 @@ def run(
     forms.check_source(params, recordings.source)
     cells = sweep.cells(root, recordings.source, hyperparameters, lambda more: load_params(PARAMS, *base, more))
     with alone(root, recordings.source):
-        files.write_json(root / "sweep.json", {"recordings": recordings.model_dump(), **grid,
+        write_json(root / "sweep.json", {"recordings": recordings.model_dump(), **grid,
                                                "hyperparameters": hyperparameters.model_dump()})  # fmt: skip
         prepare(recordings.source, params, root)
         _train_and_score(name, root, cells, params)
@@ -65,8 +70,8 @@ def _train_and_score(name: str, root: Path, cells: dict[Place, Params], params: 
     shared = Workspace(root, workspace.source)
     store = provenance.store()
     tags = {**provenance.tags(shared, shared.transitions), "sweep": name}
-    with tracking.grid_run(store, f"sweep-{name}", params.train.model_dump(), tags) as parent:
-        progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
+    with grid_run(store, f"sweep-{name}", params.train.model_dump(), tags) as parent:
+        progress.say(f"MLflow: {links.to_run(store, parent.run_id)}")
         failed = train_cells(cells, tags, parent)
         rows = _score({place: p for place, p in cells.items() if place not in failed}, parent)
         if rows:
@@ -77,7 +82,7 @@ def _train_and_score(name: str, root: Path, cells: dict[Place, Params], params: 
             raise SimgapError(told(failed, len(cells)))
 
 
-def _score(cells: dict[Place, Params], parent: tracking.Run) -> list[sweep.Row]:
+def _score(cells: dict[Place, Params], parent: Run) -> list[sweep.Row]:
     rows = []
     if not cells:
         return rows
@@ -92,12 +97,12 @@ def _score(cells: dict[Place, Params], parent: tracking.Run) -> list[sweep.Row]:
     return rows
 
 
-def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: tracking.Store, parent: tracking.Run) -> None:
+def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: Store, parent: Run) -> None:
     """The results as a table and links in Prefect's pages and in the terminal."""
-    linked = sweep.table(rows, lambda row: f"[MLflow]({tracking.link(store, row.run_id)})")
+    linked = sweep.table(rows, lambda row: f"[MLflow]({links.to_run(store, row.run_id)})")
     artifacts.table("sweep-results", linked, f"Sweep {name}, best first. Best: {best.title}.")
-    places = {"MLflow": tracking.link(store, parent.run_id),
-              "compare": tracking.compare(store, name, f"tags.sweep = '{name}'", tracking.MODELS),
+    places = {"MLflow": links.to_run(store, parent.run_id),
+              "compare": links.to_comparison(store, name, f"tags.sweep = '{name}'", links.MODEL_COLUMNS),
               "folder": str(forms.folder(name))}  # fmt: skip
     artifacts.links("sweep-links", places, f"Sweep {name}")
     progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))

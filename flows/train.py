@@ -14,8 +14,11 @@ from prefect import flow
 from flows import provenance
 from flows.fan_out import Place, fan_out
 from simgap.types import SimgapError
-from tasks import diagnosed, files, fingerprint, progress, tracking, train
+from tasks import diagnosed, fingerprint, progress, train
+from tasks.files.folders import remove_file
 from tasks.params import Params
+from tasks.tracking import links
+from tasks.tracking.runs import Run, grid_run
 from tasks.workspace import Workspace
 
 
@@ -25,14 +28,14 @@ def run(source: str, params: Params, root: Path) -> None:
     workspace, cells = Workspace(root, source), train.grid(params.train)
     train.remove_stale(workspace, cells)
     tags, store = provenance.tags(workspace, workspace.transitions), provenance.store()
-    with tracking.grid_run(store, f"grid-{source}", params.train.model_dump(), tags) as parent:
-        progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
+    with grid_run(store, f"grid-{source}", params.train.model_dump(), tags) as parent:
+        progress.say(f"MLflow: {links.to_run(store, parent.run_id)}")
         failed = train_cells({(workspace, cell): params for cell in cells}, tags, parent)
         if failed:
             raise SimgapError(told(failed, len(cells)))
 
 
-def train_cells(cells: Mapping[Place, Params], tags: dict[str, str], parent: tracking.Run) -> dict[Place, str]:
+def train_cells(cells: Mapping[Place, Params], tags: dict[str, str], parent: Run) -> dict[Place, str]:
     """Train cells that share their recordings, each with its parameters; returns what went wrong, by cell."""
     (workspace, _), params = next(iter(cells.items()))
     grid = train.Grid(parent, tags, fingerprint.codes())
@@ -63,6 +66,6 @@ def _diagnose(places: list[Place], params: Params, codes: fingerprint.Codes) -> 
         state = diagnosed.find(workspace, share, *common, time.perf_counter, return_state=True)
         if not state.is_completed():
             for place in (p for p in places if (p[0], p[1].share) == (workspace, share)):
-                files.remove_file(workspace.record(place[1]), workspace.root)
+                remove_file(workspace.record(place[1]), workspace.root)
                 failed[place] = str(state.message)
     return failed

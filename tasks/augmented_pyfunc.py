@@ -17,11 +17,13 @@ from simgap.recordings import HISTORY
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
 from simgap.types import Schema
-from tasks import files, simulators
+from tasks.files.arrays import load_arrays
+from tasks.files.effects import pop_acting, pop_scales
+from tasks.simulators import loading
 
 
 class Origin(TypedDict):
-    """The simulator's name, as `simulators.load` takes it."""
+    """The simulator's name, as `loading.load` takes it."""
 
     simulator: str
 
@@ -58,10 +60,10 @@ class NextStates:
 
 def _load_pyfunc(path: str, origin: Origin) -> NextStates:
     """Called by MLflow, by this name."""
-    arrays = files.load_arrays(Path(path))
-    scales, simulator = files.pop_scales(arrays), simulators.load(origin["simulator"])
+    arrays = load_arrays(Path(path))
+    scales, simulator = pop_scales(arrays), loading.load(origin["simulator"])
     if isinstance(simulator, Spot):
         simulator = replace(simulator, time_step=scales.time_step)
     # To take a step it need not be more than a StepModel.
-    whole = AugmentedSimulator.of(simulator, files.pop_acting(arrays), scales)  # type: ignore[arg-type]
+    whole = AugmentedSimulator.of(simulator, pop_acting(arrays), scales)  # type: ignore[arg-type]
     return NextStates(whole, arrays["phi"])

@@ -4,18 +4,19 @@ from pathlib import Path
 from typing import Any
 
 from simgap.types import Report, SimgapError
-from tasks import files, tracking
+from tasks.files.digests import fingerprint_of
+from tasks.tracking.store import StoreError
 
 
 def may_pass(_task: Any, _run: Any, state: Any) -> bool:
     """Whether a failure may pass by itself: what the project explains as wrong input or divergence does not."""
     error = state.result(raise_on_failure=False)
-    return not isinstance(error, SimgapError) or isinstance(error, tracking.StoreError)
+    return not isinstance(error, SimgapError) or isinstance(error, StoreError)
 
 
 def finished(result: Path, record: Path, fingerprint: str) -> bool:
     """Whether the cell was made before of the same data, parameters and code; a damaged file is as none."""
-    return files.fingerprint_of(record, result) == fingerprint
+    return fingerprint_of(record, result) == fingerprint
 
 
 class Curve:

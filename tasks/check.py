@@ -11,7 +11,8 @@ from simgap.findings import Survey
 from simgap.survey import Column, Rate
 from simgap.types import Recording, Schema, StepModel
 from tasks import check_plots as plots
-from tasks import files
+from tasks.files.documents import write_text
+from tasks.files.recordings import read_recordings
 
 PAGE = "check.html"
 LISTED = 200
@@ -30,7 +31,7 @@ class Checked(NamedTuple):
 def check(folder: Path, simulator: StepModel) -> Checked:
     """Read every session under the folder and survey them; RecordingError where none can be used."""
     schema = simulator.schema
-    sessions, errors = files.read_recordings(folder, schema, simulator.time_step)
+    sessions, errors = read_recordings(folder, schema, simulator.time_step)
     survey = findings.look(schema, sessions)
     said = findings.findings(schema, simulator.time_step, survey)
     return Checked(sessions, [str(e) for e in errors], survey, said)
@@ -39,7 +40,7 @@ def check(folder: Path, simulator: StepModel) -> Checked:
 def write(folder: Path, name: str, checked: Checked, simulator: StepModel) -> Path:
     """The page, in `folder`; returns its path."""
     path = folder / PAGE
-    files.write_text(path, page(name, checked, simulator))
+    write_text(path, page(name, checked, simulator))
     return path
 
 

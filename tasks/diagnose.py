@@ -12,8 +12,15 @@ from simgap.derived import derived, sentence
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
 from simgap.diagnosis.inference.explain import split
 from simgap.types import Recording, RecordingError, Schema, StepModel
-from tasks import files, fingerprint, tracking
+from tasks import fingerprint
 from tasks.diagnosis_page import page
+from tasks.files.arrays import save_arrays
+from tasks.files.documents import write_json, write_table, write_text
+from tasks.files.effects import scale_arrays
+from tasks.files.folders import remove_file
+from tasks.files.recordings import read_recordings
+from tasks.tracking.models import log_simulator
+from tasks.tracking.runs import Run
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
 """What a diagnosis leaves in its folder; the experiment only where there is one to make."""
@@ -47,7 +54,7 @@ def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
     def sessions(folder: Path | None) -> list[Recording]:
         if folder is None:
             return []
-        found, bad = files.read_recordings(folder, simulator.schema, simulator.time_step)
+        found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
         errors.extend(str(error) for error in bad)
         if differences := derived(simulator.schema, found):
             raise RecordingError("\n".join(f"{folder}: column {sentence(d)}" for d in differences))
@@ -89,20 +96,20 @@ def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
     The statement goes first and comes last: where it is, all else is of the same diagnosis.
     """
     for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
-        files.remove_file(folder / name, folder)
+        remove_file(folder / name, folder)
     constants = found.model._asdict()
-    scales = files.scale_arrays(constants.pop("scales"))
-    files.save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)
+    scales = scale_arrays(constants.pop("scales"))
+    save_arrays(folder / MODEL, {name: np.asarray(array) for name, array in constants.items()} | scales)
     if found.experiment is not None:
         columns = ("time_s", *(f.name for f in schema.command))
         rows = np.column_stack(found.experiment)
-        files.write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
-    files.write_text(folder / PAGE, page(found.statement, found.evidence))
-    files.write_json(folder / STATEMENT, found.statement)
+        write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
+    write_text(folder / PAGE, page(found.statement, found.evidence))
+    write_json(folder / STATEMENT, found.statement)
 
 
 @task(task_run_name="log-recordings-{name}", retries=1)
-def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
+def log_recordings(run: Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
     """What is diagnosed, before it is: a run that fails says as much."""
     run.tags({"config": fingerprint.configuration_of_diagnosis(name, folders, seed)})
     run.params(
@@ -122,7 +129,7 @@ def log_recordings(run: tracking.Run, name: str, folders: Folders, sessions: Ses
 
 
 @task(task_run_name="log-{folder.name}", retries=1)
-def log(run: tracking.Run, folder: Path, found: Diagnosis, schema: Schema, seconds: float) -> None:
+def log(run: Run, folder: Path, found: Diagnosis, schema: Schema, seconds: float) -> None:
     """Verdict, effects, held-out scores, the augmented simulator as a model; and the files that `write` wrote."""
     statement = found.statement
     effects = [effect["id"] for effect in statement["effects"]]
@@ -132,7 +139,7 @@ def log(run: tracking.Run, folder: Path, found: Diagnosis, schema: Schema, secon
     for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
         if (folder / name).exists():
             run.artifact(folder / name)
-    run.simulator(folder / MODEL, statement["simulator"], schema)
+    log_simulator(run, folder / MODEL, statement["simulator"], schema)
 
 
 def scores(statement: dict[str, Any]) -> Iterator[tuple[str, float]]:

@@ -11,8 +11,12 @@ from simgap.recordings import HISTORY, divide
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Recording
-from tasks import files
 from tasks.cells import finished
+from tasks.files.arrays import load_arrays, save_arrays
+from tasks.files.documents import read_json, write_json
+from tasks.files.effects import augmented_arrays, augmented_spot
+from tasks.files.folders import remove_file
+from tasks.files.recordings import read_recordings
 from tasks.fingerprint import of_diagnosis, of_recordings
 from tasks.workspace import Cell, Share, Workspace
 
@@ -71,7 +75,7 @@ def find(
 
     `code` is the digest of the diagnosis' code; `clock` gives seconds.
     """
-    recordings, errors = files.read_recordings(workspace.recordings / "training", SCHEMA, time_step)
+    recordings, errors = read_recordings(workspace.recordings / "training", SCHEMA, time_step)
     if errors:
         raise errors[0]
     used = sessions(recordings, share)
@@ -81,12 +85,12 @@ def find(
         say("diagnosed before")
         return
     # Should this fail, what was found by other code must not pass for its result.
-    files.remove_file(record, workspace.root)
+    remove_file(record, workspace.root)
     start, spot = clock(), Spot(time_step=time_step)
     found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
     simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
-    files.save_arrays(arrays, files.augmented_arrays(simulator))
-    files.write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
+    save_arrays(arrays, augmented_arrays(simulator))
+    write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),
                               "found": [m.candidate.name for m in found.members if found.names(m)],
                               "scattered": [s.id for s in found.scattered]})  # fmt: skip
@@ -94,5 +98,5 @@ def find(
 
 def load(workspace: Workspace, share: Share) -> Found:
     """What `find` found; SimgapError when it has not been run."""
-    simulator = files.augmented_spot(files.load_arrays(workspace.augmented(share)))
-    return Found(simulator, files.read_json(workspace.effects(share))["fingerprint"])
+    simulator = augmented_spot(load_arrays(workspace.augmented(share)))
+    return Found(simulator, read_json(workspace.effects(share))["fingerprint"])

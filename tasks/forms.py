@@ -54,6 +54,39 @@ class Recordings(_Form):
         return {"recordings": {self.source: block}} if block else {}
 
 
+class Policies(_Form):
+    """The policies to learn, and the models to learn them in."""
+
+    noise: NoiseName = Field(description="Family of the likelihood of the models.")
+    models: Models = Field(description="How the models learn.")
+    sample_sizes: SampleSizes = Field(description="N, transitions that the models learn from.")
+    seeds: Seeds = Field(description="Of models and policies.")
+    environment_steps: int = Field(description="At most so many for a policy.", **RANGES["environment_steps"])
+    learning_rate: float = Field(
+        description="Of soft actor-critic: actor, critics and temperature.", **RANGES["learning_rate_policy"]
+    )
+
+    def overrides(self) -> dict[str, Any]:
+        """What it changes in the blocks `train` and `policy` of params.yaml."""
+        grid = self.model_dump(include={"models", "sample_sizes", "seeds"})
+        rates = {f"learning_rate_{part}": self.learning_rate for part in ("alpha", "policy", "q")}
+        learning = {"environment_steps": self.environment_steps}
+        return {
+            "train": {**grid, "noises": [self.noise]},
+            "policy": {**grid, "noise": self.noise, "learning": learning, "sac": rates},
+        }
+
+
+def policies(params: Params) -> dict[str, Any]:
+    """What the form of the policies holds before anyone changes it: params.yaml's own."""
+    policy = params.policy
+    return {
+        **{name: getattr(policy, name) for name in ("noise", "models", "sample_sizes", "seeds")},
+        "environment_steps": policy.learning.environment_steps,
+        "learning_rate": policy.sac.learning_rate_policy,
+    }
+
+
 def _values(config: type, what: str) -> Any:
     """A form with a list of values to try for every field of a configuration."""
     fields: dict[str, Any] = {

@@ -12,7 +12,9 @@ from simgap import resample
 from simgap.recordings import HISTORY
 from simgap.resample import Stream
 from simgap.types import MOST_ROWS, ConfigError, RecordingError, Schema
-from tasks import bags, files
+from tasks import bags
+from tasks.files.recordings import LARGEST, checked, write_recording
+from tasks.files.tables import read_table
 from tasks.forms import check
 from tasks.sessions import TABLES
 from tasks.yaml_files import read_yaml
@@ -117,7 +119,7 @@ def import_session(path: Path, name: str, mapping: MappingFile, schema: Schema, 
     rows = {}
     for k, piece in enumerate(pieces, 1):
         session = name if len(pieces) == 1 else f"{name}_{k}"
-        files.write_recording(out, files.checked(path, schema, piece)._replace(name=session), schema)
+        write_recording(out, checked(path, schema, piece)._replace(name=session), schema)
         rows[session] = len(piece["time_s"])
     return rows
 
@@ -140,10 +142,10 @@ def _streams(path: Path, mapping: MappingFile, schema: Schema) -> dict[str, Stre
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]
         fresh = np.append(np.diff(time) > 0, True)  # of several values with one stamp, the last
-        bad = np.flatnonzero(~(np.abs(values) <= files.LARGEST))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
         if bad.size:
             raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]:g}; every "
-                                 f"value must be a number of at most {files.LARGEST:.1e}. Cut the session "
+                                 f"value must be a number of at most {LARGEST:.1e}. Cut the session "
                                  "there.")  # fmt: skip
         streams[name] = Stream(time[fresh], scale * values[fresh])
     zero = min(s.time_s[0] for s in streams.values())
@@ -155,7 +157,7 @@ def _of_table(path: Path, mapping: MappingFile) -> dict[str, tuple[np.ndarray, n
     if not all(wanted.values()):
         lacking = ", ".join(name for name, column in wanted.items() if not column)
         raise ConfigError(f"{path}: is a table, and the mapping has no `column` for {lacking}. Add it.")
-    table = files.read_table(path, list(dict.fromkeys(wanted.values())))
+    table = read_table(path, list(dict.fromkeys(wanted.values())))
     time = table[mapping.time.column] * resample.factor(mapping.time.unit, "s")
     found = {}
     for name, column in mapping.columns.items():

@@ -14,10 +14,17 @@ from simgap.policies.learn import Training
 from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Report
-from tasks import files, tracking, transitions
+from tasks import transitions
 from tasks.cells import Curve, finished, may_pass
+from tasks.files.arrays import load_arrays, save_arrays
+from tasks.files.digests import fingerprint_of
+from tasks.files.documents import read_json, write_json
+from tasks.files.folders import remove_file
+from tasks.files.models import load_model, save_policy
 from tasks.fingerprint import configuration_of_policy, of_policy, relevant_policy_params
 from tasks.params import PolicyParams
+from tasks.tracking.models import log_policy
+from tasks.tracking.runs import Run, cell_run
 from tasks.train import Job
 from tasks.workspace import Cell, Workspace
 
@@ -25,7 +32,7 @@ from tasks.workspace import Cell, Workspace
 class Grid(NamedTuple):
     """What the policies share: the run of the whole grid in MLflow, its tags, the digest of the code."""
 
-    run: tracking.Run
+    run: Run
     tags: dict[str, str]
     code: str
 
@@ -49,13 +56,13 @@ def learn_policy(
     Goes on from the last evaluation where it was interrupted. `job` and `clock` as in `tasks.train`.
     """
     digest = transitions.digest(workspace)
-    model = files.read_json(workspace.record(cell))["fingerprint"]
+    model = read_json(workspace.record(cell))["fingerprint"]
     mark = of_policy(cell, model, digest, params, grid.code)
     with job(cell.name, params.learning.environment_steps) as report:
         reused = finished(workspace.policy(cell), workspace.policy_record(cell), mark)
         if not reused:
             # Should this fail, the policy of other parameters must not pass for its result.
-            files.remove_file(workspace.policy_record(cell), workspace.root)
+            remove_file(workspace.policy_record(cell), workspace.root)
             _learn(workspace, cell, params, mark, report, clock)
     log(workspace, cell, params, grid, {"transitions": digest, "model_fingerprint": model, "reused": str(reused)})
 
@@ -64,7 +71,7 @@ def _learn(
     workspace: Workspace, cell: Cell, params: PolicyParams, mark: str, report: Report, clock: Callable[[], float]
 ) -> None:
     """Learn and write; the record comes last, so that a policy killed halfway has none and is gone on with."""
-    model = jax.tree.map(jnp.asarray, files.load_model(workspace.model(cell)))
+    model = jax.tree.map(jnp.asarray, load_model(workspace.model(cell)))
     environment = LearntSpot(model, box(transitions.load(workspace, "training").x), params.environment)
     checkpoint = Checkpoint(workspace, cell, mark)
     resumed, curve, before = checkpoint.load(environment, params)
@@ -74,7 +81,7 @@ def _learn(
         lambda training: checkpoint.save(training, curve, before + clock() - start),
     )  # fmt: skip
     limit = jnp.array(params.environment.command_limit)
-    files.save_policy(workspace.policy(cell), Actor(learnt.layers, learnt.mean, learnt.std, limit))
+    save_policy(workspace.policy(cell), Actor(learnt.layers, learnt.mean, learnt.std, limit))
     record = {
         **cell._asdict(),
         "fingerprint": mark,
@@ -84,7 +91,7 @@ def _learn(
         "lost": curve["lost"][-1],
         "curve": curve,
     }
-    files.write_json(workspace.policy_record(cell), record)
+    write_json(workspace.policy_record(cell), record)
     checkpoint.remove()
 
 
@@ -101,10 +108,10 @@ class Checkpoint:
         self, environment: LearntSpot, params: PolicyParams
     ) -> tuple[Training | None, dict[str, list[float]], float]:
         """State, curve so far and seconds spent; nothing where none of the same fingerprint is there and whole."""
-        if files.fingerprint_of(self._curve, self._arrays) != self._mark:
+        if fingerprint_of(self._curve, self._arrays) != self._mark:
             return None, {}, 0.0
-        known = files.read_json(self._curve)
-        arrays = files.load_arrays(self._arrays)
+        known = read_json(self._curve)
+        arrays = load_arrays(self._arrays)
         evaluations = int(arrays.pop("evaluations"))
         if evaluations != len(known["curve"]["step"]):
             return None, {}, 0.0
@@ -114,27 +121,27 @@ class Checkpoint:
     def save(self, training: Training, curve: dict[str, list[float]], seconds: float) -> None:
         """Two files, each whole or not there; where a kill came between them, they do not fit and are not used."""
         evaluations = {"evaluations": jnp.int32(len(curve["step"]))}
-        files.save_arrays(self._arrays, {**learn.to_arrays(training), **evaluations})
-        files.write_json(self._curve, {"fingerprint": self._mark, "curve": curve, "seconds": seconds})
+        save_arrays(self._arrays, {**learn.to_arrays(training), **evaluations})
+        write_json(self._curve, {"fingerprint": self._mark, "curve": curve, "seconds": seconds})
 
     def remove(self) -> None:
         """Delete what is no longer needed."""
         for path in (self._arrays, self._curve):
-            files.remove_file(path, self._root)
+            remove_file(path, self._root)
 
 
 def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags: dict[str, str]) -> None:
     """A learnt policy as a run of the grid's: parameters, curve, data set, results, and the policy as a model."""
-    record = files.read_json(workspace.policy_record(cell))
+    record = read_json(workspace.policy_record(cell))
     config = configuration_of_policy(cell, params)
     tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": config}
-    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
+    with cell_run(grid.run.store, grid.run.run_id, cell.name, tags) as run:
         run.params({**cell._asdict(), **relevant_policy_params(params)})
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)
         run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
         run.scores({name: record[name] for name in ("seconds", "steps", "return", "lost")})
-        run.policy(workspace.policy(cell), input_columns(), [field.name for field in SCHEMA.command])
+        log_policy(run, workspace.policy(cell), input_columns(), [field.name for field in SCHEMA.command])
 
 
 def input_columns() -> tuple[str, ...]:
@@ -148,4 +155,4 @@ def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
     wanted = {cell.name for cell in cells}
     for path in workspace.policies.glob("*"):
         if path.name.removesuffix(path.suffix).removesuffix(".checkpoint") not in wanted:
-            files.remove_file(path, workspace.root)
+            remove_file(path, workspace.root)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from simgap.policies.actor import Actor
 from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
-from tasks import files
+from tasks.files.models import load_policy
 from tasks.pyfunc import Columns
 
 
@@ -42,4 +42,4 @@ def _commands(policy: Actor, rows: Float[Array, "n 27"]) -> Float[Array, "n 6"]:
 
 def _load_pyfunc(path: str, columns: Columns) -> Commands:
     """Called by MLflow, by this name."""
-    return Commands(files.load_policy(Path(path)), columns)
+    return Commands(load_policy(Path(path)), columns)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtr, stdtrit
 
 from simgap.models import Model, predict
-from tasks import files
+from tasks.files.models import load_model
 
 
 class Columns(TypedDict):
@@ -61,4 +61,4 @@ def _moments(model: Model, x: Float[Array, "n x"]) -> tuple[Array, Array, Array,
 
 def _load_pyfunc(path: str, columns: Columns) -> Dynamics:
     """Called by MLflow, by this name."""
-    return Dynamics(files.load_model(Path(path)), columns)
+    return Dynamics(load_model(Path(path)), columns)

@@ -7,7 +7,7 @@ from simgap.robots.operator import OperatorConfig, record
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, RecordingError
-from tasks import files
+from tasks.files.recordings import read_recordings, write_recording
 from tasks.params import FolderParams, VirtualParams
 from tasks.workspace import SPLITS, Workspace
 
@@ -36,7 +36,7 @@ def import_folder(workspace: Workspace, params: FolderParams, time_step: float) 
     sessions: dict[str, list[Recording]] = {}
     errors: list[RecordingError] = []
     for split, patterns in zip(SPLITS, (params.training, params.test), strict=True):
-        sessions[split], bad = files.read_recordings(params.folder, SCHEMA, time_step, patterns)
+        sessions[split], bad = read_recordings(params.folder, SCHEMA, time_step, patterns)
         errors += bad
     both = {r.name for r in sessions["training"]} & {r.name for r in sessions["test"]}
     if both:
@@ -51,6 +51,6 @@ def _write(workspace: Workspace, sessions: dict[str, list[Recording]]) -> dict[s
     rows = {}
     for split, recordings in sessions.items():
         for recording in recordings:
-            files.write_recording(workspace.recordings / split, recording, SCHEMA)
+            write_recording(workspace.recordings / split, recording, SCHEMA)
             rows[f"{split}/{recording.name}"] = len(recording.time_s)
     return rows

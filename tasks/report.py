@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from prefect import task
 
-from tasks import files, plots
+from tasks import plots
+from tasks.files.documents import write_json, write_table, write_text
 from tasks.plots import LABELS
 from tasks.workspace import DIAGNOSED, Workspace
 
@@ -116,10 +117,10 @@ def write(workspace: Workspace, rows: list[Row], noises: Sequence[str], dpi: int
     """Tables, metrics, figures and the written report; returns the summary table."""
     folder = workspace.reports
     summary = summarise(rows)
-    files.write_table(folder / "scores.csv", [{**{name: row[name] for name in IDENTITY}, **row} for row in rows])
-    files.write_table(folder / "summary.csv", summary)
-    files.write_table(folder / "nll.csv", _wide(summary, "nll"))
-    files.write_json(folder / "metrics.json", _metrics(summary))
+    write_table(folder / "scores.csv", [{**{name: row[name] for name in IDENTITY}, **row} for row in rows])
+    write_table(folder / "summary.csv", summary)
+    write_table(folder / "nll.csv", _wide(summary, "nll"))
+    write_json(folder / "metrics.json", _metrics(summary))
     title = f"recordings: {workspace.source}"
     plots.against_n(
         folder / "nll_against_n.png", rows, [(s, "nll", "NLL on test sessions (lower is better)") for s in noises],
@@ -128,7 +129,7 @@ def write(workspace: Workspace, rows: list[Row], noises: Sequence[str], dpi: int
     longest = max(_rollout_scores(summary), key=_horizon)
     label = f"end-effector error after {_horizon(longest)} steps [m]"
     plots.against_n(folder / "rollouts_against_n.png", rows, [(s, longest, label) for s in noises], title, dpi)
-    files.write_text(folder / "report.md", _markdown(workspace.source, rows, summary, noises))
+    write_text(folder / "report.md", _markdown(workspace.source, rows, summary, noises))
     return summary
 
 

@@ -8,8 +8,13 @@ from prefect import task
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, Transitions
-from tasks import files, tracking, transitions
+from tasks import transitions
+from tasks.files.documents import read_json, write_json
+from tasks.files.models import load_model
+from tasks.files.recordings import read_recordings
 from tasks.params import ScoreParams
+from tasks.tracking.runs import Run, latest_run
+from tasks.tracking.store import Store
 from tasks.workspace import Cell, Workspace
 
 TABLE = "scores.json"
@@ -18,7 +23,7 @@ TABLE = "scores.json"
 @task(task_run_name="load-test-sessions-{workspace.source}")
 def load_test(workspace: Workspace, time_step: float) -> tuple[Transitions, list[Recording]]:
     """The test sessions' transitions, and the sessions themselves for rollouts."""
-    recordings, errors = files.read_recordings(workspace.recordings / "test", SCHEMA, time_step)
+    recordings, errors = read_recordings(workspace.recordings / "test", SCHEMA, time_step)
     if errors:
         raise errors[0]
     return transitions.load(workspace, "test"), recordings
@@ -30,8 +35,8 @@ def score_cell(
 ) -> dict[str, Any]:
     """The cell's scores, with what identifies it, the effects it was given and how long it trained."""
     rows, recordings = test
-    model = files.load_model(workspace.model(cell))
-    record = files.read_json(workspace.record(cell))
+    model = load_model(workspace.model(cell))
+    record = read_json(workspace.record(cell))
     return {
         **cell._asdict(),
         **({"effects": ", ".join(record["effects"])} if "effects" in record else {}),
@@ -46,14 +51,14 @@ def score_cell(
 
 @task(task_run_name="log-scores-{cell.name}{workspace.suffix}", retries=1)
 def log_scores(
-    workspace: Workspace, cell: Cell, row: dict[str, Any], store: tracking.Store, parent_run_id: str | None = None
-) -> tracking.Run | None:
+    workspace: Workspace, cell: Cell, row: dict[str, Any], store: Store, parent_run_id: str | None = None
+) -> Run | None:
     """Add the scores to the cell's latest run in MLflow, of that parent where it is given; returns the run.
 
     A model from DVC's cache may have none in this store.
     """
-    mark = {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]}
-    run = tracking.latest_run(store, mark, parent_run_id)
+    mark = {"fingerprint": read_json(workspace.record(cell))["fingerprint"]}
+    run = latest_run(store, mark, parent_run_id)
     if run:
         run.scores({name: value for name, value in row.items() if name not in (*cell._fields, "effects")})
     return run
@@ -62,10 +67,10 @@ def log_scores(
 @task(task_run_name="write-scores-{workspace.source}")
 def write(workspace: Workspace, rows: list[dict[str, Any]]) -> None:
     """One row a cell."""
-    files.write_json(workspace.scores / TABLE, {"cells": rows})
+    write_json(workspace.scores / TABLE, {"cells": rows})
 
 
 def load(workspace: Workspace) -> list[dict[str, Any]]:
     """The rows that `write` wrote; a score that is not finite is NaN."""
-    rows = files.read_json(workspace.scores / TABLE)["cells"]
+    rows = read_json(workspace.scores / TABLE)["cells"]
     return [{name: math.nan if value is None else value for name, value in row.items()} for row in rows]

@@ -8,8 +8,11 @@ from typing import Any, NamedTuple
 from prefect import task
 from pydantic import BaseModel
 
-from tasks import files, forms, report, score, tracking, train
+from tasks import forms, report, score, train
+from tasks.files.documents import read_json, write_table
 from tasks.params import Params
+from tasks.tracking.runs import Run, latest_run
+from tasks.tracking.store import Store
 from tasks.workspace import Cell, Workspace
 
 REGISTERED = "dynamics"
@@ -47,10 +50,10 @@ def cells(
 
 
 @task(task_run_name="write-{root.name}")
-def write(root: Path, rows: Sequence[Row], params: Params, run: tracking.Run) -> None:
+def write(root: Path, rows: Sequence[Row], params: Params, run: Run) -> None:
     """All scores as one table; tables, figures and claims of every variant; all of it beside the sweep's run."""
     everything = [{"variant": row.workspace.variant, **row.scores} for row in rows]
-    files.write_table(root / "results.csv", everything)
+    write_table(root / "results.csv", everything)
     run.artifact(root / "results.csv")
     run.table("results", everything)
     for workspace in dict.fromkeys(row.workspace for row in rows):
@@ -61,22 +64,22 @@ def write(root: Path, rows: Sequence[Row], params: Params, run: tracking.Run) ->
 
 
 @task(task_run_name="register-{name}", retries=1)
-def register_best(rows: Sequence[Row], name: str, store: tracking.Store) -> Row:
+def register_best(rows: Sequence[Row], name: str, store: Store) -> Row:
     """The model with the lowest NLL on the test sessions, registered under the sweep's name; returns its row."""
     best = min(rows, key=_nll)
-    run = tracking.Run(store, best.run_id)
+    run = Run(store, best.run_id)
     run.register(REGISTERED, [name, "newest"], {"cell": best.title, "nll": f"{best.scores['nll']:.4f}"})
     run.tags({"best_of": name})
     return best
 
 
-def rows(workspace: Workspace, store: tracking.Store) -> list[Row]:
+def rows(workspace: Workspace, store: Store) -> list[Row]:
     """The rows that the stage `score` wrote, each with its model's latest run."""
     found = []
     for scores in score.load(workspace):
         cell = Cell(*(scores[name] for name in Cell._fields))
-        mark = {"fingerprint": files.read_json(workspace.record(cell))["fingerprint"]}
-        run = tracking.latest_run(store, mark)
+        mark = {"fingerprint": read_json(workspace.record(cell))["fingerprint"]}
+        run = latest_run(store, mark)
         found.append(Row(workspace, cell, scores, run.run_id if run else ""))
     return found
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +15,15 @@ from simgap.recordings import HISTORY, draw
 from simgap.simulators import sample_parameters
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Report, Schema, Simulator, Transitions
-from tasks import diagnosed, files, tracking, transitions
+from tasks import diagnosed, transitions
 from tasks.cells import Curve, finished, may_pass
+from tasks.files.documents import read_json, write_json
+from tasks.files.folders import remove_file
+from tasks.files.models import save_model
 from tasks.fingerprint import Codes, configuration, fingerprint, relevant_params
 from tasks.params import Params, TrainParams
+from tasks.tracking.models import log_model
+from tasks.tracking.runs import Run, cell_run
 from tasks.workspace import Cell, Workspace
 
 
@@ -62,7 +67,7 @@ def fit(cell: Cell, data: Transitions, simulator: Simulator, params: TrainParams
 class Grid(NamedTuple):
     """What the cells share: the run of the whole grid in MLflow, its tags, the digests of the code."""
 
-    run: tracking.Run
+    run: Run
     tags: dict[str, str]
     codes: Codes
 
@@ -97,54 +102,31 @@ def train_cell(
         reused = finished(workspace.model(cell), workspace.record(cell), mark)
         if not reused:
             # Should this training fail, the model of other parameters must not pass for its result.
-            files.remove_file(workspace.record(cell), workspace.root)
+            remove_file(workspace.record(cell), workspace.root)
             simulator = found.simulator if found else Spot(time_step=time_step)
-            record = {"fingerprint": mark, **({"effects": list(found.simulator.effects)} if found else {})}
-            _train(workspace, cell, simulator, params.train, record, report, clock)
+            keep, start = Curve(report, {}), clock()
+            model = fit(cell, transitions.load(workspace, "training"), simulator, params.train, keep)
+            known = {"fingerprint": mark, **({"effects": list(found.simulator.effects)} if found else {})}
+            training = {"seconds": clock() - start, "steps": keep.curve["step"][-1], "curve": keep.curve}
+            # The record comes last: a cell killed halfway has none and is trained again.
+            save_model(workspace.model(cell), model)
+            write_json(workspace.record(cell), {**cell._asdict(), **known, **training})
     log_cell(workspace, cell, params.train, grid, {"transitions": digest, "reused": str(reused)})
 
 
-def _train(
-    workspace: Workspace,
-    cell: Cell,
-    simulator: Simulator,
-    params: TrainParams,
-    known: dict[str, Any],
-    report: Report,
-    clock: Callable[[], float],
-) -> None:
-    """Fit and write; the record comes last, so that a cell killed halfway has none and is trained again.
-
-    `known`: what the record is to hold besides.
-    """
-    keep = Curve(report, {})
-    start = clock()
-    data = transitions.load(workspace, "training")
-    model = fit(cell, data, simulator, params, keep)
-    record = {
-        **cell._asdict(),
-        **known,
-        "seconds": clock() - start,
-        "steps": keep.curve["step"][-1],
-        "curve": keep.curve,
-    }
-    files.save_model(workspace.model(cell), model)
-    files.write_json(workspace.record(cell), record)
-
-
-def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, tags: dict[str, str]) -> tracking.Run:
+def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, tags: dict[str, str]) -> Run:
     """A finished cell as a run of the grid's: parameters, effects, curve, data set with its digest, model."""
-    record = files.read_json(workspace.record(cell))
+    record = read_json(workspace.record(cell))
     tags = {**grid.tags, **tags, "fingerprint": record["fingerprint"], "config": configuration(cell, params)}
     if cell.share:
         tags |= {"diagnosis": cell.share.name, "effects": ", ".join(record["effects"]) or "none"}
-    with tracking.cell_run(grid.run.store, grid.run.run_id, cell.name + workspace.suffix, tags) as run:
+    with cell_run(grid.run.store, grid.run.run_id, cell.name + workspace.suffix, tags) as run:
         run.params({**cell._asdict(), **relevant_params(cell, params)})
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)
         run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
         run.scores({"seconds": record["seconds"], "steps": record["steps"]})
-        run.model(workspace.model(cell), input_columns(SCHEMA), SCHEMA.encoded)
+        log_model(run, workspace.model(cell), input_columns(SCHEMA), SCHEMA.encoded)
     return run
 
 
@@ -160,4 +142,4 @@ def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:
     wanted |= {path for s in diagnosed.shares(cells) for path in (workspace.augmented(s), workspace.effects(s))}
     for path in workspace.models.rglob("*"):
         if path.is_file() and path not in wanted:
-            files.remove_file(path, workspace.root)
+            remove_file(path, workspace.root)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from concealed.form import SUBSTEPS, Array, Form, Now, Size
-from concealed.forms.command_path import outputs_of
+from concealed.forms.channels import outputs_of
 from concealed.plain import TIME_STEP, carried, turned
 
 

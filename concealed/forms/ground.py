@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from concealed.form import SUBSTEPS, Array, Form, Now, Size
-from concealed.forms.command_path import UNITS, outputs_of
+from concealed.forms.channels import UNITS, outputs_of
 from concealed.plain import COMMAND, TIME_STEP, turned
 
 

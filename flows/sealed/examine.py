@@ -13,7 +13,8 @@ from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from simgap.types import SimgapError
-from tasks import files, fingerprint, progress
+from tasks import fingerprint, progress
+from tasks.files.documents import read_json
 from tasks.params import SealedParams
 from tasks.sealed import examine
 from tasks.sealed.workspace import SealedWorkspace
@@ -23,7 +24,7 @@ from tasks.sealed.workspace import SealedWorkspace
 def run(suite: str, params: SealedParams, root: Path) -> None:
     """Diagnose what is not diagnosed yet; cases that failed are told at the end and lose no other."""
     workspace, wanted = SealedWorkspace(root, suite), params.examine
-    manifest = files.read_json(workspace.manifest)
+    manifest = read_json(workspace.manifest)
     code = fingerprint.diagnosing_code()
     cases = examine.chosen(manifest, wanted)
     marks = {case: examine.fingerprint(workspace, case, wanted.seed, code) for case in manifest["keys"]}

@@ -14,8 +14,8 @@ from typing import Any
 import flows  # noqa: F401  # settles the environment before JAX is imported
 from simgap.diagnosis.diagnose import diagnose
 from simgap.simulators.spot import Spot
-from tasks import files
 from tasks.diagnose import Folders, read
+from tasks.files.documents import write_json
 from tasks.sealed.lock import lock
 from tasks.sealed.workspace import AFTER, BEFORE
 
@@ -29,7 +29,7 @@ def examine(case: Path, out: Path, seed: int) -> None:
     if errors:
         raise ValueError("; ".join(errors))
     found = diagnose(simulator, "spot", sessions.training, sessions.heldout, sessions.baseline, seed)
-    files.write_json(out, found.statement)
+    write_json(out, found.statement)
 
 
 def _answer(line: str) -> dict[str, Any]:

@@ -11,10 +11,12 @@ from pathlib import Path
 from prefect import flow
 
 from flows import provenance
-from tasks import progress, tracking
+from tasks import progress
 from tasks.params import SealedParams
 from tasks.sealed import score
 from tasks.sealed.workspace import SealedWorkspace
+from tasks.tracking import links
+from tasks.tracking.runs import grid_run
 
 EXPERIMENT = "sealed"
 
@@ -28,8 +30,8 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
         found = score.rows(workspace, opened, report)
     table = score.write(workspace, opened, found, params.score, origin.get("git_commit", ""))
     store = provenance.store(EXPERIMENT)
-    with tracking.grid_run(store, f"{suite}-{opened.code[:8]}", params.model_dump(), origin) as parent:
+    with grid_run(store, f"{suite}-{opened.code[:8]}", params.model_dump(), origin) as parent:
         score.log(parent, workspace, opened, table)
     progress.table(f"scores on {suite}", [{"score": s.name, "value": s.value, "n": s.n, "goal": s.goal} for s in table])
     progress.say(f"report of {suite}: {workspace.report(opened.code, opened.manifest['round']) / 'report.md'}")
-    progress.say(f"MLflow: {tracking.link(store, parent.run_id)}")
+    progress.say(f"MLflow: {links.to_run(store, parent.run_id)}")

@@ -5,7 +5,9 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-from flows.start import add_overrides, check_files, guarded, held, prepared, read_overrides
+from flows.errors import guarded
+from flows.locks import held
+from flows.start import add_overrides, check_files, prepared, read_overrides
 from tasks.sealed.workspace import SUITES, SealedWorkspace
 
 PARAMS = Path("sealed/params.yaml")
@@ -23,7 +25,8 @@ def main(stage: str, description: str | None) -> NoReturn:
 
     def work() -> None:
         check_files(PARAMS, *arguments.overrides)
-        from tasks import files, fingerprint
+        from tasks import fingerprint
+        from tasks.files.atomic import remove_unfinished
         from tasks.params import load_sealed
 
         params = load_sealed(PARAMS, *read_overrides(arguments))
@@ -31,7 +34,7 @@ def main(stage: str, description: str | None) -> NoReturn:
         flow = prepared(stage)
         with held(SealedWorkspace(arguments.workspace, arguments.suite).lock):
             for folder in FOLDERS:
-                files.remove_unfinished(arguments.workspace / folder)
+                remove_unfinished(arguments.workspace / folder)
             flow.run(arguments.suite, params, arguments.workspace)
 
     guarded(work)

@@ -14,7 +14,9 @@ from concealed.case import Recipe, conceal
 from concealed.catalogue import FORMS
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks import files
+from tasks.files.documents import write_bytes, write_json
+from tasks.files.folders import remove_file, remove_folder
+from tasks.files.recordings import read_recordings
 from tasks.params import ConcealParams, FolderParams
 from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 
@@ -56,11 +58,9 @@ def write(
             made = _real(draw, case_draw, real())
         case name:
             made = _suite(params, name, draw, case_draw)
-    files.remove_file(
-        workspace.manifest, workspace.root
-    )  # first and last: without it there is no suite, whole or in part
+    remove_file(workspace.manifest, workspace.root)  # first and last: without it there is no suite, whole or in part
     for folder in (workspace.data, workspace.keys):
-        files.remove_folder(folder, workspace.root)
+        remove_folder(folder, workspace.root)
     names = suite.names(len(made), name_draw)
     keys: dict[str, dict[str, Any]] = {}
     # In the order of the names, so that the order of making says nothing.
@@ -69,8 +69,8 @@ def write(
         report(len(keys), {})
     salts = {name: salt_draw.bytes(SALT_BYTES).hex() for name in keys}
     secret = seal.secret()
-    files.write_bytes(workspace.sealed, seal.seal(keys, salts, secret))
-    files.write_bytes(workspace.secret, secret, private=True)
+    write_bytes(workspace.sealed, seal.seal(keys, salts, secret))
+    write_bytes(workspace.secret, secret, private=True)
     parts: list[list[str]] = [[] for _ in range(max(case.part for case in made) + 1)]
     for name, case in zip(names, made, strict=True):
         parts[case.part].append(name)
@@ -78,15 +78,15 @@ def write(
         "schema": 1, "suite": workspace.suite, "round": params.round, "code": code, "parts": parts,
         "keys": {name: seal.digest(key, salts[name]) for name, key in keys.items()},
     }  # fmt: skip
-    files.write_json(workspace.manifest, manifest)
-    files.write_json(workspace.published, manifest)
+    write_json(workspace.manifest, manifest)
+    write_json(workspace.published, manifest)
     return manifest
 
 
 def read_real(source: FolderParams) -> list[tuple[np.ndarray, np.ndarray]]:
     """Sessions of a real Spot; RecordingError where there are none."""
     patterns = [*source.training, *source.test]
-    found, _ = files.read_recordings(source.folder, SCHEMA, 1 / 15, patterns)
+    found, _ = read_recordings(source.folder, SCHEMA, 1 / 15, patterns)
     return [(r.state, r.command) for r in found]
 
 

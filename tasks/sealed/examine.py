@@ -13,7 +13,9 @@ from typing import Any
 from prefect import task
 
 from simgap.types import Report, SimgapError
-from tasks import files
+from tasks.files.digests import digest_of
+from tasks.files.documents import read_json, write_json
+from tasks.files.folders import remove_folder
 from tasks.params import ExamineParams
 from tasks.sealed.workspace import SealedWorkspace
 
@@ -36,7 +38,7 @@ def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> 
     sessions = sorted(workspace.case(case).rglob("*.csv"))
     if not sessions:
         raise SimgapError(f"{workspace.case(case)}: there are no recordings of this case. Run the stage `conceal`.")
-    recorded = files.digest(sessions)
+    recorded = digest_of(sessions)
     return f"{code[:16]}-{recorded}-{seed}"
 
 
@@ -58,7 +60,7 @@ def finished(workspace: SealedWorkspace, case: str, mark: str) -> bool:
 def _whole(path: Path) -> dict[str, Any] | None:
     """What a record or a statement holds; None where there is none, or a damaged one."""
     try:
-        found = files.read_json(path)
+        found = read_json(path)
     except SimgapError:
         return None
     return found if isinstance(found, dict) else None
@@ -109,7 +111,7 @@ def examine_case(
     workspace: SealedWorkspace, case: str, idle: queue.Queue[Examiner], marks: dict[str, str], seed: int, job: Job
 ) -> str | None:
     """Diagnose one case with the next idle process and keep a record of it; returns why it failed, if it did."""
-    files.remove_folder(workspace.examination(case), workspace.root)
+    remove_folder(workspace.examination(case), workspace.root)
     examiner = idle.get()
     try:
         with job(case, 1):
@@ -118,7 +120,7 @@ def examine_case(
         idle.put(examiner)
     error = answer.get("error")
     record = {"fingerprint": marks[case], "seconds": answer.get("seconds"), "error": error}
-    files.write_json(workspace.record(case), record)
+    write_json(workspace.record(case), record)
     return error
 
 
@@ -134,5 +136,5 @@ def remove_stale(workspace: SealedWorkspace, marks: dict[str, str]) -> list[str]
                     damaged.append(folder.name)
                 elif (_whole(paths[0]) or {}).get("fingerprint") == marks[folder.name]:
                     continue
-            files.remove_folder(folder, workspace.root)
+            remove_folder(folder, workspace.root)
     return damaged

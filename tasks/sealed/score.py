@@ -12,12 +12,14 @@ from concealed.case import features, noise_of
 from concealed.plain import STATE, observer, refit, robot, whitened
 from concealed.strength import UNLIKE, UNSURE
 from simgap.types import SimgapError
-from tasks import files, tracking
+from tasks.files.atomic import replacing_folder
+from tasks.files.documents import read_bytes, read_json, write_json, write_table, write_text
 from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, metrics, report
 from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, judge, overlap, rows_of
 from tasks.sealed.workspace import SealedWorkspace
+from tasks.tracking.runs import Run
 
 
 class Opened(NamedTuple):
@@ -34,11 +36,11 @@ class Opened(NamedTuple):
 @task(task_run_name="open-{workspace.suite}")
 def open_keys(workspace: SealedWorkspace) -> Opened:
     """The keys; SimgapError where they are not those whose hashes were published."""
-    manifest = files.read_json(workspace.manifest)
-    if files.read_json(workspace.published) != manifest:
+    manifest = read_json(workspace.manifest)
+    if read_json(workspace.published) != manifest:
         raise SimgapError(f"{workspace.published}: must be the manifest of the recordings, {workspace.manifest}.")
     try:
-        keys = seal.unseal(files.read_bytes(workspace.sealed), files.read_bytes(workspace.secret), manifest["keys"])
+        keys = seal.unseal(read_bytes(workspace.sealed), read_bytes(workspace.secret), manifest["keys"])
     except seal.BrokenSealError as error:
         raise SimgapError(f"{workspace.sealed}: {error}") from None
     return Opened(manifest, keys, _diagnosing(workspace, sorted(keys)))
@@ -46,7 +48,7 @@ def open_keys(workspace: SealedWorkspace) -> Opened:
 
 def _diagnosing(workspace: SealedWorkspace, cases: Sequence[str]) -> str:
     """Start of the digest of the code by which all cases were examined."""
-    records = [files.read_json(workspace.record(c)) for c in cases if workspace.record(c).exists()]
+    records = [read_json(workspace.record(c)) for c in cases if workspace.record(c).exists()]
     codes = sorted({code_of(record["fingerprint"]) for record in records})
     if not codes:
         raise SimgapError(f"{workspace.examinations}: no case was examined. Run the stage `examine`.")
@@ -65,8 +67,8 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
     for case in sorted(opened.keys):
         if not workspace.record(case).exists():
             continue
-        record, key = files.read_json(workspace.record(case)), opened.keys[case]
-        told = files.read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
+        record, key = read_json(workspace.record(case)), opened.keys[case]
+        told = read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
         row = {"case": case, **judge(key, told, record["seconds"], record["error"])}
         state, command = sessions.read(workspace.recordings(case))
         if key["kind"] == "regime" and told is not None:
@@ -94,7 +96,7 @@ def write(
         "round": opened.manifest["round"], "commit": commit or "unknown",
         "cases": f"{len(found)} of {len(opened.keys)}",
     }  # fmt: skip
-    with files.replacing_folder(_folder(workspace, opened)) as folder:
+    with replacing_folder(_folder(workspace, opened)) as folder:
         figures.power(folder / "power.png", metrics.power(found), dpi)
         figures.confusion(folder / "confusion.png", found, 6.0, dpi)
         figures.reliability(folder / "reliability.png", metrics.reliability(found), dpi)
@@ -103,11 +105,11 @@ def write(
             pictures[row["case"]] = f"failures/{row['case']}.png"
             _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
         text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
-        files.write_text(folder / "report.md", text)
+        write_text(folder / "report.md", text)
         columns = list(dict.fromkeys(name for row in found for name in row))
-        files.write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
-        files.write_json(folder / "manifest.json", opened.manifest)
-    files.write_json(workspace.metrics, {s.name: {"value": s.value, "ci95": [s.low, s.high], "n": s.n} for s in table})
+        write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
+        write_json(folder / "manifest.json", opened.manifest)
+    write_json(workspace.metrics, {s.name: {"value": s.value, "ci95": [s.low, s.high], "n": s.n} for s in table})
     return table
 
 
@@ -133,7 +135,7 @@ def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Pa
 
 
 @task(task_run_name="log-{workspace.suite}", retries=1)
-def log(run: tracking.Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
+def log(run: Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
     """Scores and report of the suite, so that versions of the diagnosis are compared over time."""
     run.params({"suite": workspace.suite, "round": opened.manifest["round"], "code": opened.code})
     run.scores({_metric(s.name): s.value for s in table if s.n})

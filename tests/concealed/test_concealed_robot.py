@@ -12,7 +12,7 @@ from concealed.form import Form, Size
 from concealed.forms.measuring import Shaking
 from concealed.operator import LIMIT, Habits, Person
 from concealed.plain import Noise, Robot, advance, robot
-from concealed.robot import Chance, Tape, run
+from concealed.robot import Chance, Setting, Tape, run
 from simgap.simulators.spot import Spot
 
 SIZE = Size(sessions=3, copies=1, rows=80)
@@ -36,7 +36,8 @@ def play(forms: Sequence[Form], magnitudes: Sequence[Sequence[float]], noisy: bo
     person = Person(Habits(1.0, np.ones(6)), size, np.random.default_rng(1))
     many = robot(np.repeat(OF.flat, size.batch, axis=0))
     spread = np.repeat(np.array(magnitudes, float).reshape(len(magnitudes), len(forms)), SIZE.sessions, axis=0)
-    return run(many, forms, None, person, first, NOISE, Chance(*draws, 0 * draws[0]), size, spread)
+    setting = Setting(many, person, first, NOISE, Chance(*draws, 0 * draws[0]), size)
+    return run(setting, forms, spread, None)
 
 
 def test_the_plain_robot_is_the_papers_row_by_row() -> None:

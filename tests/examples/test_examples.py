@@ -19,8 +19,9 @@ from examples.knockouts import WITHOUT_INDUCED_VELOCITY, late
 from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive_session, record
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording
-from tasks.files import read_recordings, write_recording
-from tasks.simulators import check, load
+from tasks.files.recordings import read_recordings, write_recording
+from tasks.simulators.checks import check
+from tasks.simulators.loading import load
 
 ROOT = Path(__file__).parents[2]
 QUIET_DRIVE = DriveConfig(position_noise=0.0, velocity_noise=0.0)

@@ -14,7 +14,7 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from test_pipeline import ROOT, TINY, children, prepare
 
 from flows import train
-from tasks import files
+from tasks.files.documents import read_json
 from tasks.params import load_params
 from tasks.train import grid
 from tasks.workspace import Workspace
@@ -64,7 +64,7 @@ def test_a_killed_worker_is_replaced_and_its_cell_begun_again(
         train.run("virtual", params, Path())
     killer.join(10)
     assert seen["addresses"] == {"127.0.0.1"}
-    assert [files.read_json(record)["steps"] for record in records] == 4 * [STEPS]
+    assert [read_json(record)["steps"] for record in records] == 4 * [STEPS]
     runs = children(tmp_path)
     finished = runs[runs["status"] == "FINISHED"]
     assert sorted(finished["name"]) == sorted(cell.name for cell in grid(params.train))

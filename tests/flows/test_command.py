@@ -106,7 +106,7 @@ def test_code_that_is_no_simulator_ends_in_a_message(folder: Path, spec: str, wo
     assert "Traceback" not in done.stdout + done.stderr
 
 
-GUARDED = "import flows\nfrom flows.start import guarded\n"
+GUARDED = "import flows\nfrom flows.errors import guarded\n"
 ENDLESS = (
     GUARDED
     + """
@@ -131,7 +131,7 @@ def started(command: list[str], folder: Path) -> subprocess.Popen[str]:
 
 def test_ctrl_c_ends_the_trial_of_an_endless_step(folder: Path) -> None:
     with started([SIMGAP, "check", "rail", "--simulator", "endless:Mine"], folder) as process:
-        _until(process, lambda: b"tasks.trial" in _children(process))
+        _until(process, lambda: b"tasks.simulators.trial" in _children(process))
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "stopped\n")

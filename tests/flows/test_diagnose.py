@@ -19,7 +19,9 @@ from examples.record import record
 from flows import command
 from flows.diagnose import diagnose_folder
 from simgap.types import SimgapError
-from tasks import diagnose, files
+from tasks import diagnose
+from tasks.files.arrays import load_arrays
+from tasks.files.documents import read_json
 
 ROOT = Path(__file__).parents[2]
 SIMULATORS = "from examples.drive import DRIVE\n\nBROKEN = object()\n"
@@ -54,7 +56,7 @@ def output(folder: Path, prefect_server: dict[str, str]) -> str:
 
 
 def test_the_statement_is_told_and_where_the_page_is(folder: Path, output: str) -> None:
-    found = files.read_json(folder / "found" / "diagnosis.json")
+    found = read_json(folder / "found" / "diagnosis.json")
     assert found["verdict"] in ("missing_physics", "parameters_only", "nothing", "unexplained", "inconclusive")
     assert found["simulator"] == "mine:DRIVE"
     assert found["statement"] in output
@@ -66,7 +68,7 @@ def test_the_statement_is_told_and_where_the_page_is(folder: Path, output: str) 
 
 
 def test_the_experiment_is_there_if_it_is_called_for(folder: Path, output: str) -> None:
-    found = files.read_json(folder / "found" / "diagnosis.json")
+    found = read_json(folder / "found" / "diagnosis.json")
     commands = folder / "found" / "experiment.csv"
     assert commands.exists() == bool(found["experiment"])
     assert ("commands  found/experiment.csv" in output) == commands.exists()
@@ -83,7 +85,7 @@ def test_the_diagnosis_is_a_run_in_mlflow(folder: Path, output: str) -> None:
     (run,) = client.search_runs([experiment.experiment_id])
     assert run.info.run_id in output
     assert (run.info.run_name, run.info.status) == ("rail-mine:DRIVE", "FINISHED")
-    found = files.read_json(folder / "found" / "diagnosis.json")
+    found = read_json(folder / "found" / "diagnosis.json")
     tags = run.data.tags
     assert tags["verdict"] == found["verdict"]
     assert tags["effects"] == (", ".join(e["id"] for e in found["effects"]) or "none")
@@ -121,7 +123,7 @@ def test_the_augmented_simulator_is_a_model_in_mlflow(folder: Path, monkeypatch:
     row = pd.DataFrame([{"position": 0.1, "velocity": 0.2, "cmd_force_2": 1.0, "cmd_force_1": 1.5, "cmd_force": 2.0}])
     got = model.predict(row)
     assert list(got.columns) == ["next_position", "next_velocity"]
-    found = files.load_arrays(folder / "found" / "augmented.npz")
+    found = load_arrays(folder / "found" / "augmented.npz")
     if not found["theta"].any():  # nothing was found in these few rows: it is the simulator itself
         expected = DRIVE.step(found["phi"], np.array([0.1, 0.2], np.float32), np.array([2.0], np.float32))
         np.testing.assert_allclose(got.to_numpy()[0], expected, rtol=1e-5)

@@ -31,8 +31,10 @@ from test_pipeline import TINY
 
 from examples.record import record
 from flows import running
-from tasks import recordings, tracking
+from tasks import recordings
 from tasks.params import VirtualParams, load_params
+from tasks.tracking.runs import diagnosis_run
+from tasks.tracking.store import open_store
 from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
@@ -482,8 +484,8 @@ def test_a_reproduction_is_started_and_shows_what_there_is(place: Place) -> None
 def test_a_diagnosis_is_read_in_mlflow(place: Place, browser: Any, swept: tuple[str, Path]) -> None:
     """The page of the project's own report, logged as a diagnosis logs it."""
     page = ROOT / "reports" / "virtual" / "diagnosis" / "diagnosis.html"
-    store = tracking.open_store(place.folder, "diagnosis", pages=place.mlflow)
-    with tracking.diagnosis_run(store, "virtual-spot", {}) as run:
+    store = open_store(place.folder, "diagnosis", pages=place.mlflow)
+    with diagnosis_run(store, "virtual-spot", {}) as run:
         run.artifact(page)
     path = f"experiments/{store.experiment_id}/runs/{run.run_id}/artifacts/{page.name}?workflowType=machine_learning"
     browser.goto(f"{place.mlflow}/#/{path}")

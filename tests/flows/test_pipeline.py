@@ -23,7 +23,9 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from simgap import scores
 from simgap.simulators.spot import SCHEMA
-from tasks import files, recordings, transitions
+from tasks import recordings, transitions
+from tasks.files.documents import read_json, write_json
+from tasks.files.models import load_model
 from tasks.params import Params, VirtualParams, load_params
 from tasks.policy import input_columns as input_columns_of_policies
 from tasks.train import input_columns
@@ -130,7 +132,7 @@ def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> No
     report = folder / tail[0].split()[1]
     assert "Sim-FSVGD" in report.read_text()
     assert (report.parent / "nll_against_n.png").stat().st_size > 10_000
-    statement = files.read_json(report.parent / "diagnosis" / "diagnosis.json")["statement"]
+    statement = read_json(report.parent / "diagnosis" / "diagnosis.json")["statement"]
     assert statement in output
     assert html.escape(statement) in (folder / tail[3].split()[1]).read_text()
     assert "Error encountered" not in output
@@ -176,7 +178,7 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
         loaded = mlflow.pyfunc.load_model(f"runs:/{run_id}/model")
         table = loaded.predict(pd.DataFrame(np.asarray(test.x[:50], np.float64), columns=list(input_columns(SCHEMA))))
         residual = test.y[:50] - table[[f"mean_{name}" for name in SCHEMA.encoded]].to_numpy()
-        ours = scores.one_step(files.load_model(workspace.model(cell)), test._replace(x=test.x[:50], y=test.y[:50]),
+        ours = scores.one_step(load_model(workspace.model(cell)), test._replace(x=test.x[:50], y=test.y[:50]),
                                SCHEMA.encoded)  # fmt: skip
         assert np.sqrt(np.mean(residual[:, 0] ** 2)) == pytest.approx(ours["rmse_base_x"], rel=1e-3)
         assert (table[[f"std_{name}" for name in SCHEMA.encoded]].to_numpy() > 0).all()
@@ -222,7 +224,7 @@ def test_models_that_are_given_a_diagnosis(
     overrides = {**TINY, "train": train, "policy": policy}
     workspace = Workspace(tmp_path / "w", "virtual")
     stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
-    files.write_json(stale, {"fingerprint": "of other parameters"})
+    write_json(stale, {"fingerprint": "of other parameters"})
     status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
     assert status == 1
     assert "3 of 6 cells failed" in output
@@ -231,7 +233,7 @@ def test_models_that_are_given_a_diagnosis(
     assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80]
     assert not stale.exists()
     assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
-    found = files.read_json(workspace.effects(Share(80, 0)))["effects"]
+    found = read_json(workspace.effects(Share(80, 0)))["effects"]
 
     runs = children(tmp_path).set_index("name")
     for model in DIAGNOSED:

@@ -15,8 +15,8 @@ from mlflow import MlflowClient
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.inference.explain import split
 from simgap.types import Recording
-from tasks import files
-from tasks.simulators import find, make
+from tasks.files.documents import read_json
+from tasks.simulators.loading import find, make
 
 SIMULATOR = """
 import jax.numpy as jnp
@@ -98,7 +98,7 @@ def statement(folder: Path, prefect_server: dict[str, str]) -> dict[str, Any]:
             text=True, timeout=1200,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
-    return files.read_json(folder / "found" / "diagnosis.json")
+    return read_json(folder / "found" / "diagnosis.json")
 
 
 def test_its_friction_is_named(statement: dict[str, Any]) -> None:

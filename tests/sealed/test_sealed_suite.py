@@ -15,7 +15,8 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from concealed import seal
 from flows.sealed import conceal, examine, score
 from simgap.types import SimgapError
-from tasks import files
+from tasks.files.atomic import remove_unfinished
+from tasks.files.documents import read_json, write_json, write_text
 from tasks.params import SealedParams, load_sealed
 from tasks.sealed import baselines
 from tasks.sealed.conceal import seed_of
@@ -43,7 +44,7 @@ def work(prefect_server: dict[str, str]) -> Iterator[Work]:
 def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) -> SealedWorkspace:
     """After `conceal`, in a folder from which stages can be started as from the command line."""
     workspace = SealedWorkspace(tmp_path_factory.mktemp("sealed"), "development")
-    files.write_text(workspace.root / "sealed" / "params.yaml", yaml.safe_dump(params.model_dump(mode="json")))
+    write_text(workspace.root / "sealed" / "params.yaml", yaml.safe_dump(params.model_dump(mode="json")))
     conceal.run.fn("development", params, workspace.root)
     return workspace
 
@@ -54,19 +55,19 @@ def examined(
 ) -> SealedWorkspace:
     """After `examine`, twice, where the last of the two cases cannot be read: it fails, and loses no other, even where
     the first time was killed before the last record, which is damaged besides."""
-    other, damaged = files.read_json(workspace.manifest)["parts"][0]
+    other, damaged = read_json(workspace.manifest)["parts"][0]
     session = workspace.cases / damaged / "a.csv"
     session.write_text(session.read_text().replace("cmd_ee_vz", "nothing"))
     assert work(workspace.root, "sealed.examine development", writes=2) == -9
     assert not workspace.record(damaged).exists()
     diagnosed = workspace.record(other).stat().st_mtime_ns
-    files.write_text(workspace.record(damaged), '{"fingerpr')
+    write_text(workspace.record(damaged), '{"fingerpr')
     with (
         temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}),
         pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged}.*cmd_ee_vz is missing"),
     ):
         examine.run("development", params, workspace.root)
-    assert files.read_json(workspace.record(other))["error"] is None
+    assert read_json(workspace.record(other))["error"] is None
     assert workspace.record(other).stat().st_mtime_ns == diagnosed  # it is not done again
     session.write_text(session.read_text().replace("nothing", "cmd_ee_vz"))
     return workspace
@@ -92,8 +93,8 @@ def test_a_suite_whose_making_was_killed_passes_for_none(
 def test_a_damaged_examination_is_done_again(tmp_path: Path, name: str, damage: str) -> None:
     workspace, marks = SealedWorkspace(tmp_path, "development"), {"a": "mark", "b": "mark", "c": "mark"}
     for case in ("a", "b", "gone"):
-        files.write_json(workspace.record(case), {"fingerprint": "mark", "seconds": 1.0, "error": None})
-        files.write_json(workspace.statement(case), {})
+        write_json(workspace.record(case), {"fingerprint": "mark", "seconds": 1.0, "error": None})
+        write_json(workspace.statement(case), {})
     (workspace.examinations / "b" / name).write_text(damage)
     assert not examined_before(workspace, "b", "mark")
     assert remove_stale(workspace, marks) == ["b"]
@@ -114,7 +115,7 @@ def test_baselines_without_a_share_have_none(recwarn: pytest.WarningsRecorder) -
 
 
 def test_names_and_hashes_are_published_and_nothing_else(workspace: SealedWorkspace) -> None:
-    manifest = files.read_json(workspace.published)
+    manifest = read_json(workspace.published)
     names = sorted(c.name for c in workspace.cases.iterdir())
     assert sorted(manifest["keys"]) == names == sorted(n for part in manifest["parts"] for n in part)
     assert all(len(digest) == 64 for digest in manifest["keys"].values())
@@ -132,7 +133,7 @@ def test_every_case_is_scored_and_the_report_is_whole(
     monkeypatch.chdir(examined.root)
     with temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}):
         score.run("development", params, examined.root)
-    manifest = files.read_json(examined.manifest)
+    manifest = read_json(examined.manifest)
     report = examined.report(manifest["code"], manifest["round"])
     text = (report / "report.md").read_text()
     assert "saturation" in text
@@ -142,32 +143,32 @@ def test_every_case_is_scored_and_the_report_is_whole(
     for line in text.splitlines():
         if line.startswith("!["):
             assert (report / line.split("](")[1][:-1]).exists(), line
-    failed = files.read_json(examined.metrics)["cases that failed"]
+    failed = read_json(examined.metrics)["cases that failed"]
     assert (failed["value"], failed["n"]) == (0.5, 2)
     assert "broke off: 1" in text
 
     written = {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()}
     assert work(examined.root, "sealed.score development", writes=2) == -9
     assert list(report.parent.glob(".*.tmp"))
-    files.remove_unfinished(report.parent)
+    remove_unfinished(report.parent)
     assert {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()} == written
 
 
 def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(
     examined: SealedWorkspace, params: SealedParams
 ) -> None:
-    path = next(p for p in map(examined.record, sorted(files.read_json(examined.manifest)["keys"])) if p.exists())
-    record = files.read_json(path)
-    files.write_json(path, {**record, "fingerprint": f"0123456789abcdef-{record['fingerprint'].split('-', 1)[1]}"})
+    path = next(p for p in map(examined.record, sorted(read_json(examined.manifest)["keys"])) if p.exists())
+    record = read_json(path)
+    write_json(path, {**record, "fingerprint": f"0123456789abcdef-{record['fingerprint'].split('-', 1)[1]}"})
     try:
         with pytest.raises(SimgapError, match=r"different versions of the code, 0123456789abcdef, .*Run the stage"):
             score.run.fn("development", params, examined.root)
     finally:
-        files.write_json(path, record)
+        write_json(path, record)
 
 
 def test_another_key_than_the_published_one_is_refused(examined: SealedWorkspace, params: SealedParams) -> None:
-    closed, published = examined.sealed.read_bytes(), files.read_json(examined.manifest)["keys"]
+    closed, published = examined.sealed.read_bytes(), read_json(examined.manifest)["keys"]
     secret = examined.secret.read_bytes()
     keys = copy.deepcopy(seal.unseal(closed, secret, published))
     for key in keys.values():

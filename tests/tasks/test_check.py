@@ -25,7 +25,8 @@ from simgap.robots.operator import OperatorConfig, record
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording, RecordingError
-from tasks import check, files
+from tasks import check
+from tasks.files.recordings import read_recordings, write_recording
 
 RATE = 15.0
 ALWAYS = ["base_wz never changes from 0.5. Nothing can be said of what depends on it."]
@@ -225,7 +226,7 @@ def test_two_thousand_sessions_are_a_page(tmp_path: Path) -> None:
             (tmp_path / f"walk_{i:04d}.csv").write_text("time_s,base_x\n0,left\n")
         else:
             recording = Recording(f"walk_{i:04d}", values[:, 0], values[:, 1:13], values[:, 13:])
-            files.write_recording(tmp_path, recording, SCHEMA)
+            write_recording(tmp_path, recording, SCHEMA)
     start = time.perf_counter()
     checked = check.check(tmp_path, Spot())
     page = check.page("many", checked, Spot())
@@ -251,7 +252,7 @@ def test_stalls_are_counted_and_the_longest_is_named() -> None:
 
 def test_the_virtual_spot_has_no_findings(tmp_path: Path) -> None:
     for i, key in enumerate(jax.random.split(jax.random.key(3), 3)):
-        files.write_recording(tmp_path, record(key, 60.0, VirtualSpotConfig(), OperatorConfig(), f"walk_{i}"), SCHEMA)
+        write_recording(tmp_path, record(key, 60.0, VirtualSpotConfig(), OperatorConfig(), f"walk_{i}"), SCHEMA)
     assert not check.check(tmp_path, Spot()).findings
 
 
@@ -261,7 +262,7 @@ def test_the_real_spot_has_rows_that_last_longer_and_nothing_else() -> None:
     assert len(found) == 6
     factors = [re.search("changes by (.*) times what", line) for line in found]
     assert all(f is not None and 1.5 < float(f[1]) < 2.5 for f in factors), found
-    sessions, _ = files.read_recordings(spot_recordings(), SCHEMA, Spot().time_step)
+    sessions, _ = read_recordings(spot_recordings(), SCHEMA, Spot().time_step)
     assert not derived(SCHEMA, sessions)
 
 

@@ -17,8 +17,12 @@ from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 from simgap.effects.effect import Scales
 from simgap.effects.regime import everywhere
 from simgap.types import Recording, RecordingError
-from tasks import diagnose, files
+from tasks import diagnose
 from tasks.diagnose import Folders
+from tasks.files.arrays import load_arrays
+from tasks.files.atomic import remove_unfinished
+from tasks.files.documents import read_json
+from tasks.files.recordings import read_recordings, write_recording
 from tasks.fingerprint import of_recordings
 
 STATEMENT: dict[str, Any] = {
@@ -66,9 +70,9 @@ def test_sessions_of_one_name_are_told_apart(folders: dict[str, Path]) -> None:
 
 @pytest.mark.parametrize("purpose", ["recordings", "heldout", "baseline"])
 def test_a_velocity_that_is_a_difference_is_refused(folders: dict[str, Path], tmp_path: Path, purpose: str) -> None:
-    for session in files.read_recordings(folders["tomorrow"], DRIVE.schema, DRIVE.time_step)[0]:
+    for session in read_recordings(folders["tomorrow"], DRIVE.schema, DRIVE.time_step)[0]:
         session.state[:, 1] = np.gradient(session.state[:, 0], session.time_s)
-        files.write_recording(tmp_path / "made", session, DRIVE.schema)
+        write_recording(tmp_path / "made", session, DRIVE.schema)
     given = Folders(folders["today"])._replace(**{purpose: tmp_path / "made"})
     words = r"made: column velocity is the central difference of position.*Record the velocity that a sensor gives"
     with pytest.raises(RecordingError, match=words):
@@ -77,8 +81,8 @@ def test_a_velocity_that_is_a_difference_is_refused(folders: dict[str, Path], tm
 
 @pytest.mark.parametrize("purpose", ["heldout", "baseline"])
 def test_a_session_serves_one_purpose(folders: dict[str, Path], tmp_path: Path, purpose: str) -> None:
-    (session,) = (files.read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step, ["drive_02*"]))[0]
-    files.write_recording(tmp_path / "copy", session._replace(name="another"), DRIVE.schema)
+    (session,) = (read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step, ["drive_02*"]))[0]
+    write_recording(tmp_path / "copy", session._replace(name="another"), DRIVE.schema)
     given = Folders(folders["today"])._replace(**{purpose: tmp_path / "copy"})
     with pytest.raises(RecordingError, match=r"copy: the session another is the session drive_02"):
         diagnose.read.fn(given, DRIVE)
@@ -94,7 +98,7 @@ def test_unusable_sessions_are_told_and_left_out(tmp_path: Path) -> None:
 
 
 def test_a_digest_identifies_numbers_not_names(folders: dict[str, Path]) -> None:
-    (a, b), _ = files.read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step)
+    (a, b), _ = read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step)
     assert of_recordings([a]) == of_recordings([a._replace(name="b")])
     assert len({of_recordings(rs) for rs in ([a], [b], [a, b], [b, a])}) == 4
 
@@ -102,12 +106,12 @@ def test_a_digest_identifies_numbers_not_names(folders: dict[str, Path]) -> None
 def test_what_is_written_reads_back_and_an_old_experiment_goes(tmp_path: Path) -> None:
     found = Diagnosis(STATEMENT, {}, MODEL, EXPERIMENT)
     diagnose.write.fn(tmp_path, found, DRIVE.schema)
-    assert files.read_json(tmp_path / "diagnosis.json")["statement"] == STATEMENT["statement"]
+    assert read_json(tmp_path / "diagnosis.json")["statement"] == STATEMENT["statement"]
     assert STATEMENT["statement"] in (tmp_path / "diagnosis.html").read_text()
     commands = pd.read_csv(tmp_path / "experiment.csv")
     assert list(commands.columns) == ["time_s", "cmd_force"]
     np.testing.assert_allclose(commands.to_numpy(), np.column_stack(EXPERIMENT))
-    arrays = files.load_arrays(tmp_path / "augmented.npz")
+    arrays = load_arrays(tmp_path / "augmented.npz")
     written = MODEL._asdict()
     written |= {f"scales_{name}": np.asarray(scale) for name, scale in written.pop("scales")._asdict().items()}
     assert {name: a.tolist() for name, a in arrays.items()} == {n: np.asarray(a).tolist() for n, a in written.items()}
@@ -141,7 +145,7 @@ def test_a_diagnosis_killed_while_it_is_written_passes_for_none(tmp_path: Path) 
     done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], env=environment, timeout=200)
     assert done.returncode == -signal.SIGKILL
     assert {path.name for path in tmp_path.glob("[!.]*")} == {"augmented.npz", "experiment.csv"}
-    files.remove_unfinished(tmp_path)
+    remove_unfinished(tmp_path)
     diagnose.write.fn(tmp_path, found, DRIVE.schema)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == whole
 

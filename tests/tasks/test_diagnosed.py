@@ -17,8 +17,11 @@ from simgap.simulators import sample_parameters
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Recording
-from tasks import diagnosed, files, score, train, transitions
+from tasks import diagnosed, score, train, transitions
 from tasks.diagnosed import sessions
+from tasks.files.documents import read_json, write_json
+from tasks.files.models import save_model
+from tasks.files.recordings import write_recording
 from tasks.params import load_params
 from tasks.workspace import Cell, Share, Workspace
 
@@ -62,7 +65,7 @@ def workspace(recordings: list[Recording], tmp_path: Path) -> Workspace:
     workspace = Workspace(tmp_path, "virtual")
     for split, some in (("training", recordings[:3]), ("test", recordings[3:])):
         for recording in some:
-            files.write_recording(workspace.recordings / split, recording, SCHEMA)
+            write_recording(workspace.recordings / split, recording, SCHEMA)
         transitions.prepare.fn(workspace, split, STEP)
     return workspace
 
@@ -122,7 +125,7 @@ def test_a_diagnosis_is_made_once(workspace: Workspace, asked: list[int], record
     assert len(asked) == 1
     found = diagnosed.load(workspace, share)
     assert found.simulator == late(recordings)
-    record = files.read_json(workspace.effects(share))
+    record = read_json(workspace.effects(share))
     assert (record["effects"], record["found"], record["scattered"]) == (["delay"], ["delay on all"], ["dropout"])
 
     find(workspace, share, "other code")
@@ -156,8 +159,8 @@ def test_a_diagnosed_cell_is_trained_and_scored(workspace: Workspace, model: str
     find(workspace, cell.share)
     found = diagnosed.load(workspace, cell.share)
     fitted = train.fit(cell, transitions.load(workspace, "training"), found.simulator, PARAMS.train, lambda *_: None)
-    files.save_model(workspace.model(cell), fitted)
-    files.write_json(workspace.record(cell), {"seconds": 1.0, "steps": 2, "curve": {}, "effects": ["delay"]})
+    save_model(workspace.model(cell), fitted)
+    write_json(workspace.record(cell), {"seconds": 1.0, "steps": 2, "curve": {}, "effects": ["delay"]})
     row = score.score_cell.fn(workspace, cell, score.load_test.fn(workspace, STEP), PARAMS.score)
     assert row["effects"] == "delay"
     assert np.isfinite([row["nll"], row["rollout_ee_5"]]).all()

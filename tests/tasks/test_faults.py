@@ -30,10 +30,20 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from sqlalchemy import text
 
 from flows import running
-from flows.start import alone, guarded, held
+from flows.errors import guarded
+from flows.locks import alone, held
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks import artifacts, files, tracking
+from tasks import artifacts
+from tasks.files.arrays import load_arrays, save_arrays
+from tasks.files.atomic import remove_unfinished
+from tasks.files.digests import fingerprint_of
+from tasks.files.documents import write_json
+from tasks.files.models import save_model
+from tasks.files.recordings import read_recordings
+from tasks.tracking.models import log_model
+from tasks.tracking.runs import cell_run, close_stale_runs, grid_run
+from tasks.tracking.store import Store, StoreError, open_store
 from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
@@ -53,13 +63,13 @@ def full_disk(limit: int) -> Iterator[None]:
 
 def test_a_full_disk_is_told_of_and_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
-    files.save_arrays(path, ARRAYS)
+    save_arrays(path, ARRAYS)
     before = path.read_bytes()
     with (
         full_disk(2000),
         pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Make room"),
     ):
-        files.save_arrays(path, {"a": np.arange(2000.0)})
+        save_arrays(path, {"a": np.arange(2000.0)})
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["model.npz"]
 
@@ -68,26 +78,26 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from tasks import files
+from tasks.files.arrays import save_arrays
 os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-files.save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
+save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
 """
 
 
 def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "models" / "model.npz"
-    files.save_arrays(path, ARRAYS)
+    save_arrays(path, ARRAYS)
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], cwd=ROOT, timeout=200)
     assert done.returncode == -signal.SIGKILL
-    np.testing.assert_array_equal(files.load_arrays(path)["a"], ARRAYS["a"])
+    np.testing.assert_array_equal(load_arrays(path)["a"], ARRAYS["a"])
     left = [p.name for p in path.parent.iterdir() if p != path]
     assert [name for name in left if not (name.startswith(".") and name.endswith(".tmp"))] == []
     assert len(left) == 1
     with pytest.raises(SimgapError, match="no file matches"):
-        files.read_recordings(path.parent, SCHEMA, 0.1)
+        read_recordings(path.parent, SCHEMA, 0.1)
     under_way = path.parent / left[0].replace(f"-{done_by(left[0])}-", f"-{os.getpid()}-")
     under_way.touch()
-    files.remove_unfinished(tmp_path)
+    remove_unfinished(tmp_path)
     assert {p.name for p in path.parent.iterdir()} == {path.name, under_way.name}
 
 
@@ -99,23 +109,23 @@ def done_by(name: str) -> str:
 def test_a_file_where_a_folder_must_be_is_told_of(tmp_path: Path) -> None:
     (tmp_path / "models").write_text("")
     with pytest.raises(SimgapError, match=r"x\.npz: cannot be written \(.*start again"):
-        files.save_arrays(tmp_path / "models" / "x.npz", ARRAYS)
+        save_arrays(tmp_path / "models" / "x.npz", ARRAYS)
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not an archive", None])
 def test_a_damaged_artifact_counts_as_none(tmp_path: Path, damage: bytes | None) -> None:
     record, arrays = tmp_path / "cell.json", tmp_path / "cell.npz"
-    files.save_arrays(arrays, ARRAYS)
-    files.write_json(record, {"fingerprint": "f"})
-    assert files.fingerprint_of(record, arrays) == "f"
+    save_arrays(arrays, ARRAYS)
+    write_json(record, {"fingerprint": "f"})
+    assert fingerprint_of(record, arrays) == "f"
     whole = arrays.read_bytes()
     arrays.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
-    assert files.fingerprint_of(record, arrays) is None
+    assert fingerprint_of(record, arrays) is None
     arrays.write_bytes(whole)
     record.write_text('{"fingerpr')
-    assert files.fingerprint_of(record, arrays) is None
+    assert fingerprint_of(record, arrays) is None
     record.write_text("[1]")
-    assert files.fingerprint_of(record, arrays) is None
+    assert fingerprint_of(record, arrays) is None
 
 
 def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
@@ -127,7 +137,7 @@ def test_arrays_that_hold_a_pickle_are_not_loaded(tmp_path: Path) -> None:
     (tmp_path / "y.npz").write_bytes(pickle.dumps(Bomb()))
     for name in ("x.npz", "y.npz"):
         with pytest.raises(SimgapError, match="is no whole file of arrays"):
-            files.load_arrays(tmp_path / name)
+            load_arrays(tmp_path / name)
     assert not (tmp_path / "exploded").exists()
 
 
@@ -139,7 +149,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with its tables, which take seconds to make."""
     folder = tmp_path_factory.mktemp("store")
     (folder / "mlflow.db.new").write_bytes(b"what a start killed while it made the tables leaves")
-    tracking.open_store(folder, "grid")
+    open_store(folder, "grid")
     return folder
 
 
@@ -150,14 +160,14 @@ def root(made: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def logged(store: tracking.Store, params: dict[str, Any] | None = None) -> str:
-    with tracking.grid_run(store, "grid", params or {"a": 1}, {}) as run:
+def logged(store: Store, params: dict[str, Any] | None = None) -> str:
+    with grid_run(store, "grid", params or {"a": 1}, {}) as run:
         run.scores({"nll": 1.0})
     return run.run_id
 
 
 def test_a_locked_store_is_waited_for(root: Path) -> None:
-    store = tracking.open_store(root, "grid")
+    store = open_store(root, "grid")
     holder = sqlite3.connect(root / "mlflow.db", check_same_thread=False)
     holder.execute("BEGIN EXCLUSIVE")
     release = threading.Timer(7.0, holder.rollback)  # SQLite by itself gives up after five
@@ -190,11 +200,11 @@ def locked(database: Path) -> Iterator[None]:
 
 
 def test_a_store_that_stays_locked_is_an_error_when_patience_ends(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracking, "_PATIENCE_S", 1.0)
-    store = tracking.open_store(root, "grid")
+    monkeypatch.setattr("tasks.tracking.store._PATIENCE_S", 1.0)
+    store = open_store(root, "grid")
     with locked(root / "mlflow.db"):
         start = time.monotonic()
-        with pytest.raises(tracking.StoreError, match=r"mlflow\.db refused .*locked.* start again"):
+        with pytest.raises(StoreError, match=r"mlflow\.db refused .*locked.* start again"):
             logged(store)
     assert 1.0 <= time.monotonic() - start < 10.0  # MLflow's own patience is 20 s
 
@@ -209,11 +219,11 @@ def test_patience_is_what_the_docs_say(root: Path) -> None:
 
 def test_a_process_goes_on_when_a_full_disk_has_room_again(tmp_path: Path) -> None:
     """Full while the store was made, and full while a run was logged."""
-    with full_disk(300_000), pytest.raises(tracking.StoreError, match=r"mlflow\.db refused .* has room"):
-        tracking.open_store(tmp_path, "grid")
+    with full_disk(300_000), pytest.raises(StoreError, match=r"mlflow\.db refused .* has room"):
+        open_store(tmp_path, "grid")
     assert not (tmp_path / "mlflow.db").exists()
-    store = tracking.open_store(tmp_path, "grid")
-    with full_disk((tmp_path / "mlflow.db").stat().st_size), pytest.raises(tracking.StoreError, match="has room"):
+    store = open_store(tmp_path, "grid")
+    with full_disk((tmp_path / "mlflow.db").stat().st_size), pytest.raises(StoreError, match="has room"):
         logged(store, {f"key_{i}": "x" * 1000 for i in range(1000)})
     run_id = logged(store)
     assert store.client.get_run(run_id).data.metrics == {"nll": 1.0}
@@ -222,20 +232,20 @@ def test_a_process_goes_on_when_a_full_disk_has_room_again(tmp_path: Path) -> No
 def test_a_store_is_for_its_owner_alone(root: Path) -> None:
     """Also one that was not."""
     (root / "mlflow.db").chmod(0o644)
-    tracking.open_store(root, "grid")
+    open_store(root, "grid")
     assert (root / "mlflow.db").stat().st_mode & 0o777 == 0o600
 
 
 def test_a_read_only_store_is_told_of(root: Path) -> None:
     uri = f"sqlite:///file:{root / 'mlflow.db'}?mode=ro&uri=true"
-    with pytest.raises(tracking.StoreError, match=r"refused .*readonly.* may be written to"):
-        logged(tracking.open_store(root, "grid", uri))
+    with pytest.raises(StoreError, match=r"refused .*readonly.* may be written to"):
+        logged(open_store(root, "grid", uri))
 
 
 def test_a_server_that_is_gone_is_told_of(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
-    with pytest.raises(tracking.StoreError, match=f"{nobody} refused .* start again"):
-        logged(tracking.Store(nobody, "grid", "1"))
+    with pytest.raises(StoreError, match=f"{nobody} refused .* start again"):
+        logged(Store(nobody, "grid", "1"))
 
 
 @pytest.fixture
@@ -274,7 +284,8 @@ input()
 OWN = """
 import os, urllib.error, urllib.request
 from pathlib import Path
-from flows.start import guarded, prepared
+from flows.errors import guarded
+from flows.start import prepared
 from prefect import get_client
 
 def work():
@@ -327,24 +338,24 @@ def test_a_prefect_server_left_by_a_killed_command_is_ended(tmp_path: Path, monk
 
 
 def test_a_store_lost_midway_does_not_hide_what_went_wrong_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracking, "_PATIENCE_S", 0.2)
-    store = tracking.open_store(root, "grid")
+    monkeypatch.setattr("tasks.tracking.store._PATIENCE_S", 0.2)
+    store = open_store(root, "grid")
 
     def work() -> None:
-        with sqlite3.connect(root / "mlflow.db") as holder, tracking.grid_run(store, "grid", {}, {}):
+        with sqlite3.connect(root / "mlflow.db") as holder, grid_run(store, "grid", {}, {}):
             holder.execute("BEGIN EXCLUSIVE")
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         work()
-    assert tracking.close_stale_runs(store) == [], "its process, this one, is there"
+    assert close_stale_runs(store) == [], "its process, this one, is there"
 
 
 def _write(root: str, name: str, count: int, together: Any) -> None:
-    store = tracking.open_store(Path(root), "grid")
+    store = open_store(Path(root), "grid")
     together.wait(200)
     for i in range(count):
-        with tracking.cell_run(store, "none", f"{name}-{i}", {"sweep": name}) as run:
+        with cell_run(store, "none", f"{name}-{i}", {"sweep": name}) as run:
             run.params({"i": i})
             run.curve(range(20), {"loss": list(range(20))})
 
@@ -358,7 +369,7 @@ def test_two_at_once_lose_nothing(root: Path) -> None:
     _write(str(root), "one", 40, together)
     other.join(200)
     assert other.exitcode == 0
-    store = tracking.open_store(root, "grid")
+    store = open_store(root, "grid")
     runs = store.client.search_runs([store.experiment_id])
     assert len(runs) == 80
     assert {run.info.status for run in runs} == {"FINISHED"}
@@ -385,7 +396,7 @@ HOLDING = """
 import sys
 import flows
 from pathlib import Path
-from flows.start import alone
+from flows.locks import alone
 with alone(Path(sys.argv[1]), "virtual"):
     print("held", flush=True)
     input()
@@ -413,13 +424,13 @@ def test_a_lock_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
 
 
 def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = tracking.open_store(root, "grid")
+    store = open_store(root, "grid")
     from test_files import fitted_spot
 
-    files.save_model(tmp_path / "model.npz", fitted_spot())
+    save_model(tmp_path / "model.npz", fitted_spot())
     for sweep in ("one", "other"):
-        with tracking.cell_run(store, "none", "cell", {}) as run:
-            run.model(tmp_path / "model.npz", [f"x{i}" for i in range(31)], [f"y{i}" for i in range(13)])
+        with cell_run(store, "none", "cell", {}) as run:
+            log_model(run, tmp_path / "model.npz", [f"x{i}" for i in range(31)], [f"y{i}" for i in range(13)])
         run.register("dynamics", [sweep, "newest"], {"cell": "cell"})
     versions = {a: store.client.get_model_version_by_alias("dynamics", a).version for a in ("one", "other", "newest")}
     assert versions == {"one": 1, "other": 2, "newest": 2}

@@ -30,7 +30,13 @@ from simgap.simulators import parameter_ranges
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import MOST_ROWS, Recording, RecordingError, SimgapError
-from tasks import files
+from tasks.files.arrays import load_arrays, save_arrays
+from tasks.files.digests import digest_of
+from tasks.files.documents import read_json, write_json, write_table, write_text
+from tasks.files.folders import remove_folder
+from tasks.files.models import load_model, save_model
+from tasks.files.pickles import PICKLE_LIMIT
+from tasks.files.recordings import LARGEST, read_recordings, write_recording
 
 STEP = 1 / 15
 Table = dict[str, list[Any]]
@@ -77,15 +83,15 @@ def csv_text(columns: Table) -> str:
 
 
 def read_one(path: Path, step: float = STEP) -> Recording:
-    (recording,), errors = files.read_recordings(path.parent, SCHEMA, step, [path.name])
+    (recording,), errors = read_recordings(path.parent, SCHEMA, step, [path.name])
     assert not errors
     return recording
 
 
 def assert_refused(path: Path, *words: str) -> None:
     """The file cannot be used, its message has these words, and a good session beside it is read all the same."""
-    good = files.write_recording(path.parent, session(name="good"), SCHEMA)
-    recordings, errors = files.read_recordings(path.parent, SCHEMA, STEP, [path.name, good.name])
+    good = write_recording(path.parent, session(name="good"), SCHEMA)
+    recordings, errors = read_recordings(path.parent, SCHEMA, STEP, [path.name, good.name])
     assert [r.name for r in recordings] == ["good"]
     assert len(errors) == 1
     for word in (str(path), *words):
@@ -102,7 +108,7 @@ def assert_same(a: Recording, b: Recording) -> None:
 
 
 def floats(*shape: int) -> st.SearchStrategy[np.ndarray]:
-    return hnp.arrays(np.float64, shape, elements=st.floats(-files.LARGEST, files.LARGEST))
+    return hnp.arrays(np.float64, shape, elements=st.floats(-LARGEST, LARGEST))
 
 
 @st.composite
@@ -121,9 +127,9 @@ def recordings(draw: st.DrawFn) -> Recording:
 @quick
 def test_a_written_session_reads_back_the_same(recording: Recording) -> None:
     with scratch() as folder:
-        path = files.write_recording(folder, recording, SCHEMA)
+        path = write_recording(folder, recording, SCHEMA)
         assert path == folder / f"{recording.name}.parquet"
-        (read,), errors = files.read_recordings(folder, SCHEMA, STEP)
+        (read,), errors = read_recordings(folder, SCHEMA, STEP)
     assert not errors
     assert_same(read, recording)
 
@@ -142,51 +148,51 @@ def test_csv_loses_no_digit(recording: Recording) -> None:
 def test_a_name_that_leaves_the_folder_is_refused(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "inside"
     with pytest.raises(RecordingError, match="Rename the session"):
-        files.write_recording(folder, session(name=name), SCHEMA)
+        write_recording(folder, session(name=name), SCHEMA)
     assert not list(tmp_path.iterdir())
 
 
 def test_sessions_come_sorted_and_once_whatever_the_patterns(tmp_path: Path) -> None:
     for name in ("b/one", "a/two", "a/one", "c"):
-        files.write_recording(tmp_path, session(name=name), SCHEMA)
+        write_recording(tmp_path, session(name=name), SCHEMA)
     (tmp_path / "a" / "three.CSV").write_text(csv_text(table()))
     (tmp_path / "a" / "notes.txt").write_text("no session")
     (tmp_path / "folder.csv").mkdir()
 
     def names(*patterns: str) -> list[str]:
-        return [r.name for r in files.read_recordings(tmp_path, SCHEMA, STEP, patterns)[0]]
+        return [r.name for r in read_recordings(tmp_path, SCHEMA, STEP, patterns)[0]]
 
     assert names("**/*") == names("**/*", "a/*") == ["a/one", "a/three", "a/two", "b/one", "c"]
     assert names("b/*", "a/*one*") == ["a/one", "b/one"]
-    assert [r.name for r in files.read_recordings(tmp_path, SCHEMA, STEP)[0]] == names("**/*")
+    assert [r.name for r in read_recordings(tmp_path, SCHEMA, STEP)[0]] == names("**/*")
 
 
 def test_a_folder_without_sessions_says_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"nowhere: there is no such folder\. Give"):
-        files.read_recordings(tmp_path / "nowhere", SCHEMA, STEP)
+        read_recordings(tmp_path / "nowhere", SCHEMA, STEP)
     with pytest.raises(RecordingError, match=r"no file matches day/\* .* Change the patterns"):
-        files.read_recordings(tmp_path, SCHEMA, STEP, ["day/*"])
+        read_recordings(tmp_path, SCHEMA, STEP, ["day/*"])
 
 
 @pytest.mark.parametrize("pattern", ["../*", "/tmp/*", ""])
 def test_a_pattern_stays_in_the_folder(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(RecordingError, match=r"the pattern '.*' cannot be used"):
-        files.read_recordings(tmp_path, SCHEMA, STEP, [pattern])
+        read_recordings(tmp_path, SCHEMA, STEP, [pattern])
 
 
 def test_where_all_are_unusable_every_reason_is_given(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("")
     (tmp_path / "b.parquet").write_text("")
     with pytest.raises(RecordingError, match="none of its 2 session files") as error:
-        files.read_recordings(tmp_path, SCHEMA, STEP)
+        read_recordings(tmp_path, SCHEMA, STEP)
     assert "a.csv" in str(error.value)
     assert "b.parquet" in str(error.value)
 
 
 def test_two_files_cannot_be_one_session(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(csv_text(table(5)))
-    files.write_recording(tmp_path, session(6), SCHEMA)
-    (recording,), (error,) = files.read_recordings(tmp_path, SCHEMA, STEP)
+    write_recording(tmp_path, session(6), SCHEMA)
+    (recording,), (error,) = read_recordings(tmp_path, SCHEMA, STEP)
     assert len(recording.time_s) == 5
     assert "walk.parquet: the session walk is in" in str(error)
     assert "walk.csv" in str(error)
@@ -195,12 +201,12 @@ def test_two_files_cannot_be_one_session(tmp_path: Path) -> None:
 def test_bad_sessions_leave_the_others_intact(tmp_path: Path) -> None:
     good = [session(rows, f"good_{rows}") for rows in (5, 6, 7)]
     for recording in good:
-        files.write_recording(tmp_path, recording, SCHEMA)
+        write_recording(tmp_path, recording, SCHEMA)
     (tmp_path / "a.csv").write_text(csv_text(changed("ee_z", 2, "up")))
     (tmp_path / "go.parquet").write_bytes(b"PAR1")
     (tmp_path / "h.pickle").write_bytes(pickle.dumps(os.system))
     (tmp_path / "i.csv").symlink_to(tmp_path / "nowhere.csv")
-    recordings, errors = files.read_recordings(tmp_path, SCHEMA, STEP)
+    recordings, errors = read_recordings(tmp_path, SCHEMA, STEP)
     for read, written in zip(recordings, good, strict=True):
         assert_same(read, written)
     assert [Path(str(e).split(": ")[0]).name for e in errors] == ["a.csv", "go.parquet", "h.pickle", "i.csv"]
@@ -240,7 +246,7 @@ def test_a_value_beyond_single_precision_is_named(tmp_path: Path, value: float) 
     path = tmp_path / "bad.csv"
     path.write_text(csv_text(changed("ee_vx", 4, value)))
     assert_refused(path, "column ee_vx, row 4", f"{value:g}", "may exceed 1.3e+16", "Look for a wrong unit")
-    path.write_text(csv_text(changed("ee_vx", 4, files.LARGEST)))
+    path.write_text(csv_text(changed("ee_vx", 4, LARGEST)))
     squares = np.float32(read_one(path).state[3, 9]) ** 2 * np.float32(MOST_ROWS)
     assert np.isfinite(squares)
 
@@ -297,7 +303,7 @@ def test_a_parquet_may_have_whole_numbers_and_more_columns(tmp_path: Path) -> No
 @quick
 def test_a_cut_parquet_is_named(share: float) -> None:
     with scratch() as folder:
-        path = files.write_recording(folder, session(name="cut"), SCHEMA)
+        path = write_recording(folder, session(name="cut"), SCHEMA)
         content = path.read_bytes()
         path.write_bytes(content[: int(share * len(content))])
         assert_refused(path, "Parquet")
@@ -305,7 +311,7 @@ def test_a_cut_parquet_is_named(share: float) -> None:
 
 def test_a_damaged_value_in_a_parquet_is_no_measurement(tmp_path: Path) -> None:
     recording = session(name="flipped")
-    path = files.write_recording(tmp_path, recording, SCHEMA)
+    path = write_recording(tmp_path, recording, SCHEMA)
     content = bytearray(path.read_bytes())
     content[content.index(recording.state[3, 4].tobytes()) + 6] ^= 1
     path.write_bytes(content)
@@ -427,7 +433,7 @@ def test_a_missing_value_in_a_pickle_is_no_gap(tmp_path: Path) -> None:
 def test_a_pickle_too_large_is_not_opened(tmp_path: Path) -> None:
     path = tmp_path / "bad.pickle"
     with path.open("wb") as file:
-        file.truncate(files.PICKLE_LIMIT + 1)  # takes no space on the disk
+        file.truncate(PICKLE_LIMIT + 1)  # takes no space on the disk
     assert_refused(path, "67,108,865 bytes", "at most 67,108,864", "Parquet")
 
 
@@ -439,8 +445,8 @@ def test_a_damaged_pickle_raises_nothing_else(data: st.DataObject) -> None:
         content[data.draw(st.integers(0, 300))] = data.draw(st.integers(0, 255))
     with scratch() as folder:
         (folder / "bad.pickle").write_bytes(content)
-        files.write_recording(folder, session(name="good"), SCHEMA)
-        read, errors = files.read_recordings(folder, SCHEMA, STEP)
+        write_recording(folder, session(name="good"), SCHEMA)
+        read, errors = read_recordings(folder, SCHEMA, STEP)
     assert len(read) + len(errors) == 2
     assert read[-1].name == "good"
 
@@ -450,7 +456,7 @@ def test_a_damaged_pickle_raises_nothing_else(data: st.DataObject) -> None:
 
 def test_the_published_training_sessions() -> None:
     folder = spot_recordings()
-    read, errors = files.read_recordings(folder, SCHEMA, STEP, ["recordings_spot_v*/*"])
+    read, errors = read_recordings(folder, SCHEMA, STEP, ["recordings_spot_v*/*"])
     assert not errors
     assert len(read) == 12
     assert sum(len(r.time_s) - 1 for r in read) == 6796
@@ -458,13 +464,13 @@ def test_the_published_training_sessions() -> None:
     assert read[0].name == "recordings_spot_v0/dataset_learn_jax_20240815-151559_v0_1"
     with scratch() as copy:
         for recording in read:
-            files.write_recording(copy, recording, SCHEMA)
-        for converted, recording in zip(files.read_recordings(copy, SCHEMA, STEP)[0], read, strict=True):
+            write_recording(copy, recording, SCHEMA)
+        for converted, recording in zip(read_recordings(copy, SCHEMA, STEP)[0], read, strict=True):
             assert_same(converted, recording)
 
 
 def test_the_published_test_sessions() -> None:
-    read, errors = files.read_recordings(spot_recordings(), SCHEMA, STEP, ["test_data_spot/*"])
+    read, errors = read_recordings(spot_recordings(), SCHEMA, STEP, ["test_data_spot/*"])
     assert not errors
     assert len(read) == 2
 
@@ -488,8 +494,8 @@ def assert_bits_equal(a: np.ndarray, b: np.ndarray) -> None:
 def test_arrays_read_back_the_same(arrays: dict[str, np.ndarray]) -> None:
     with scratch() as folder:
         path = folder / "deep" / "arrays.npz"
-        files.save_arrays(path, arrays)
-        read = files.load_arrays(path)
+        save_arrays(path, arrays)
+        read = load_arrays(path)
         assert [p.name for p in path.parent.iterdir()] == ["arrays.npz"]
     assert read.keys() == arrays.keys()
     for name in arrays:
@@ -497,22 +503,22 @@ def test_arrays_read_back_the_same(arrays: dict[str, np.ndarray]) -> None:
 
 
 def test_equal_arrays_make_equal_bytes_at_any_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    files.save_arrays(tmp_path / "a.npz", {"x": np.ones(3)})
+    save_arrays(tmp_path / "a.npz", {"x": np.ones(3)})
     monkeypatch.setattr("time.time", lambda: 2e9)
-    files.save_arrays(tmp_path / "b.npz", {"x": np.ones(3)})
+    save_arrays(tmp_path / "b.npz", {"x": np.ones(3)})
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "arrays.npz"
-    files.save_arrays(path, {"x": np.ones(3)})
+    save_arrays(path, {"x": np.ones(3)})
     with pytest.raises(ValueError, match="Object arrays"):
-        files.save_arrays(path, {"x": np.zeros(3), "y": np.array([{}])})
-    np.testing.assert_array_equal(files.load_arrays(path)["x"], 1.0)
+        save_arrays(path, {"x": np.zeros(3), "y": np.array([{}])})
+    np.testing.assert_array_equal(load_arrays(path)["x"], 1.0)
     assert [p.name for p in tmp_path.iterdir()] == ["arrays.npz"]
 
 
-@pytest.mark.parametrize("read", [files.load_arrays, files.load_model, files.read_json])
+@pytest.mark.parametrize("read", [load_arrays, load_model, read_json])
 def test_a_file_that_is_not_there_is_named(tmp_path: Path, read: Callable[[Path], object]) -> None:
     with pytest.raises(SimgapError, match=r"nothing\.npz: there is no such file\. Run the stage"):
         read(tmp_path / "nothing.npz")
@@ -533,12 +539,12 @@ def _flipped(content: bytes) -> bytes:
         lambda _: pickle.dumps(Attack("false")),
     ],
 )
-@pytest.mark.parametrize("load", [files.load_arrays, files.load_model])
+@pytest.mark.parametrize("load", [load_arrays, load_model])
 def test_damaged_arrays_are_named(
     tmp_path: Path, damage: Callable[[bytes], bytes], load: Callable[[Path], object]
 ) -> None:
     path = tmp_path / "bad.npz"
-    files.save_arrays(path, {"x": np.arange(100.0)})
+    save_arrays(path, {"x": np.arange(100.0)})
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(SimgapError, match=r"bad\.npz: is no whole file of arrays"):
         load(path)
@@ -548,7 +554,7 @@ def test_a_pickle_inside_an_archive_is_not_opened(tmp_path: Path) -> None:
     marker, path = tmp_path / "marker", tmp_path / "bad.npz"
     np.savez(path, kind=np.array([Attack(f"touch {marker}")]))
     with pytest.raises(SimgapError, match=r"bad\.npz: is no whole file of arrays"):
-        files.load_model(path)
+        load_model(path)
     assert not marker.exists()
 
 
@@ -580,8 +586,8 @@ def leaves(model: Model) -> list[Any]:
 @quick
 def test_a_model_reads_back_bit_for_bit(model: Model) -> None:
     with scratch() as folder:
-        files.save_model(folder / "model.npz", model)
-        read = files.load_model(folder / "model.npz")
+        save_model(folder / "model.npz", model)
+        read = load_model(folder / "model.npz")
     assert type(read) is type(model)
     for one, other in zip(leaves(read), leaves(model), strict=True):
         assert_bits_equal(one, other)
@@ -621,8 +627,8 @@ def fitted_simulator() -> FittedSimulator:
     "model", [bnn(), fitted_spot(), fitted_simulator()], ids=["BNN", "FittedSpot", "FittedSimulator"]
 )
 def test_a_model_read_back_predicts_the_same(tmp_path: Path, model: Model) -> None:
-    files.save_model(tmp_path / "model.npz", model)
-    read = files.load_model(tmp_path / "model.npz")
+    save_model(tmp_path / "model.npz", model)
+    read = load_model(tmp_path / "model.npz")
     if isinstance(model, FittedSimulator):
         assert read.simulator == model.simulator  # type: ignore[union-attr]
     x: Any = np.random.default_rng(2).normal(size=31).astype(np.float32)
@@ -633,7 +639,7 @@ def test_a_model_read_back_predicts_the_same(tmp_path: Path, model: Model) -> No
 def test_a_model_of_another_simulator_is_not_written(tmp_path: Path) -> None:
     model = dataclasses.replace(fitted_simulator(), simulator=Spot(STEP))
     with pytest.raises(SimgapError, match="cannot be written"):
-        files.save_model(tmp_path / "model.npz", model)
+        save_model(tmp_path / "model.npz", model)
     assert not list(tmp_path.iterdir())
 
 
@@ -642,22 +648,22 @@ def test_a_model_of_another_simulator_is_not_written(tmp_path: Path) -> None:
 )
 def test_a_model_with_other_arrays_is_named(tmp_path: Path, model: Model) -> None:
     path = tmp_path / "model.npz"
-    files.save_model(path, model)
-    arrays = files.load_arrays(path)
+    save_model(path, model)
+    arrays = load_arrays(path)
     for name in arrays.keys() - {"kind"}:
-        files.save_arrays(path, {n: a for n, a in arrays.items() if n != name})
+        save_arrays(path, {n: a for n, a in arrays.items() if n != name})
         with pytest.raises(SimgapError, match=r"model\.npz: .* Train the model again"):
-            files.load_model(path)
-    files.save_arrays(path, {**arrays, "surplus": np.ones(1)})
+            load_model(path)
+    save_arrays(path, {**arrays, "surplus": np.ones(1)})
     with pytest.raises(SimgapError, match="surplus"):
-        files.load_model(path)
+        load_model(path)
 
 
 @pytest.mark.parametrize("arrays", [{"x": np.ones(3)}, {"kind": np.array("GaussianProcess")}, {"kind": np.ones(9)}])
 def test_arrays_that_are_no_model_are_named(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
-    files.save_arrays(tmp_path / "other.npz", arrays)
+    save_arrays(tmp_path / "other.npz", arrays)
     with pytest.raises(SimgapError, match=r"other\.npz: holds no model; .* must be BNN, FittedSpot or FittedSimulator"):
-        files.load_model(tmp_path / "other.npz")
+        load_model(tmp_path / "other.npz")
 
 
 # JSON, text, tables, digests, folders
@@ -672,13 +678,13 @@ json_values = st.recursive(
 @quick
 def test_json_reads_back_the_same(value: object) -> None:
     with scratch() as folder:
-        files.write_json(folder / "value.json", value)
-        assert files.read_json(folder / "value.json") == value
+        write_json(folder / "value.json", value)
+        assert read_json(folder / "value.json") == value
 
 
 def test_json_is_sorted_and_has_null_where_there_is_no_number(tmp_path: Path) -> None:
     path = tmp_path / "value.json"
-    files.write_json(path, {"b": [math.nan, np.float32(0.5)], "a": {"y": np.array([1.0, np.inf]), "x": np.int64(3)}})
+    write_json(path, {"b": [math.nan, np.float32(0.5)], "a": {"y": np.array([1.0, np.inf]), "x": np.int64(3)}})
     assert path.read_text() == (
         '{\n "a": {\n  "x": 3,\n  "y": [\n   1.0,\n   null\n  ]\n },\n "b": [\n  null,\n  0.5\n ]\n}\n'
     )
@@ -689,18 +695,18 @@ def test_damaged_json_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bad.json"
     path.write_bytes(content)
     with pytest.raises(SimgapError, match=r"bad\.json: is no whole JSON file"):
-        files.read_json(path)
+        read_json(path)
 
 
 def test_text_is_written_as_it_is(tmp_path: Path) -> None:
-    files.write_text(tmp_path / "report" / "report.md", "mean ± std\n")
+    write_text(tmp_path / "report" / "report.md", "mean ± std\n")
     assert (tmp_path / "report" / "report.md").read_bytes() == "mean ± std\n".encode()
 
 
 def test_a_table_has_six_digits_and_blanks(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     rows = [{"model": "a, b", "nll": -1234.56789, "steps": 1234567}, {"model": "c", "rmse": np.float32(1e-7)}]
-    files.write_table(path, rows)
+    write_table(path, rows)
     assert path.read_text() == 'model,nll,steps,rmse\n"a, b",-1234.57,1234567,\nc,,,1e-07\n'
 
 
@@ -708,7 +714,7 @@ def test_a_table_has_six_digits_and_blanks(tmp_path: Path) -> None:
 @quick
 def test_a_table_reads_back_to_six_digits(rows: list[dict[str, Any]]) -> None:
     with scratch() as folder:
-        files.write_table(folder / "table.csv", rows)
+        write_table(folder / "table.csv", rows)
         with (folder / "table.csv").open(newline="") as file:
             read = list(csv.DictReader(file))
     assert [row["name"] for row in read] == [row["name"] for row in rows]
@@ -717,32 +723,32 @@ def test_a_table_reads_back_to_six_digits(rows: list[dict[str, Any]]) -> None:
 
 def written(folder: Path, contents: dict[str, str]) -> list[Path]:
     for name, content in contents.items():
-        files.write_text(folder / name, content)
+        write_text(folder / name, content)
     return [folder / name for name in contents]
 
 
 def test_a_digest_is_of_names_and_contents(tmp_path: Path) -> None:
     contents = {"training.npz": "one", "deep/test.npz": "two"}
-    digest = files.digest(written(tmp_path / "a", contents))
+    digest = digest_of(written(tmp_path / "a", contents))
     assert len(digest) == 16
     assert int(digest, 16)
-    assert files.digest(written(tmp_path / "b", contents)[::-1]) == digest
+    assert digest_of(written(tmp_path / "b", contents)[::-1]) == digest
     for other in (
         {"training.npz": "one"},
         {"training.npz": "one", "deep/test.npz": "tw0"},
         {"training.npz": "one", "deep/tests.npz": "two"},
         {"training.npz": "two", "deep/test.npz": "one"},
     ):
-        assert files.digest(written(tmp_path / "c", other)) != digest
+        assert digest_of(written(tmp_path / "c", other)) != digest
 
 
 def test_a_digest_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SimgapError, match=r"nothing\.npz: there is no such file"):
-        files.digest([tmp_path / "nothing.npz"])
+        digest_of([tmp_path / "nothing.npz"])
 
 
 def test_a_folder_is_removed_if_it_is_there(tmp_path: Path) -> None:
     written(tmp_path / "a", {"deep/file": "one"})
-    files.remove_folder(tmp_path / "a", tmp_path)
-    files.remove_folder(tmp_path / "a", tmp_path)
+    remove_folder(tmp_path / "a", tmp_path)
+    remove_folder(tmp_path / "a", tmp_path)
     assert not list(tmp_path.iterdir())

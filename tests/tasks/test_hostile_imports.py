@@ -28,7 +28,10 @@ from test_files import scratch
 
 from simgap.simulators.spot import SCHEMA
 from simgap.types import MOST_ROWS, ConfigError, RecordingError, SimgapError
-from tasks import files, importing
+from tasks import importing
+from tasks.files.documents import read_json
+from tasks.files.recordings import read_recordings
+from tasks.files.tables import read_table
 
 
 def mapping_file(folder: Path, content: Any) -> importing.MappingFile:
@@ -41,7 +44,7 @@ def bring(path: Path, content: Any) -> list[Any]:
     """The recordings that a session becomes."""
     out = path.parent / "out"
     importing.import_session(path, "walk", mapping_file(path.parent, content), SCHEMA, out)
-    return files.read_recordings(out, SCHEMA, 1 / given.RATE)[0]
+    return read_recordings(out, SCHEMA, 1 / given.RATE)[0]
 
 
 def refused(path: Path, content: Any) -> str:
@@ -222,7 +225,7 @@ def measured(work: str) -> int:
 import resource
 from pathlib import Path
 from simgap.types import RecordingError
-from tasks import files
+from tasks.files.tables import read_table
 held = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 before = held()
 {work}
@@ -238,7 +241,7 @@ def test_a_long_csv_takes_no_more_memory_than_its_numbers(tmp_path: Path) -> Non
     path.write_text(
         "a,b," + ",".join(f"note{i}" for i in range(50)) + "\n" + ("0.125,7.5" + ",text" * 50 + "\n") * rows
     )
-    taken = measured(f"found = files.read_table(Path({str(path)!r}), ['a', 'b'])\nassert len(found['a']) == {rows}")
+    taken = measured(f"found = read_table(Path({str(path)!r}), ['a', 'b'])\nassert len(found['a']) == {rows}")
     assert taken < path.stat().st_size, "the text itself is kept"
 
 
@@ -250,7 +253,7 @@ def test_a_csv_without_an_end_of_line_takes_no_memory(tmp_path: Path, begin: str
         file.truncate(2**30)
     work = f"""
 try:
-    files.read_table(Path({str(path)!r}), ["a", "b"])
+    read_table(Path({str(path)!r}), ["a", "b"])
 except RecordingError as error:
     assert "walk.csv" in str(error) and "characters" in str(error) or "no CSV" in str(error), error
 else:
@@ -263,7 +266,7 @@ def test_quotes_that_go_on_over_lines_are_one_row_that_ends(tmp_path: Path) -> N
     path = tmp_path / "walk.csv"
     path.write_text("a,b\n" + '"1\n",' * 400_000)
     with pytest.raises(RecordingError, match="a row has more than 1,048,576 characters"):
-        files.read_table(path, ["a", "b"])
+        read_table(path, ["a", "b"])
 
 
 def test_a_table_of_too_many_rows_is_refused(tmp_path: Path) -> None:
@@ -271,9 +274,9 @@ def test_a_table_of_too_many_rows_is_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table({"a": np.zeros(MOST_ROWS + 1)}), tmp_path / "walk.parquet")
     for name in ("walk.csv", "walk.parquet"):
         with pytest.raises(RecordingError, match=f"{name}: has more than 2,000,000 rows.*Split it"):
-            files.read_table(tmp_path / name, ["a"])
+            read_table(tmp_path / name, ["a"])
     (tmp_path / "walk.csv").write_text("a\n" + "1\n" * MOST_ROWS)
-    assert len(files.read_table(tmp_path / "walk.csv", ["a"])["a"]) == MOST_ROWS
+    assert len(read_table(tmp_path / "walk.csv", ["a"])["a"]) == MOST_ROWS
 
 
 @pytest.mark.parametrize("stamp", [4e9, 1e15])
@@ -354,4 +357,4 @@ def test_a_hostile_mapping_is_explained(tmp_path: Path, content: str, words: str
 def test_json_that_nests_deeply_is_explained(tmp_path: Path) -> None:
     (tmp_path / "some.json").write_text(DEEP)
     with pytest.raises(SimgapError, match="is no whole JSON file"):
-        files.read_json(tmp_path / "some.json")
+        read_json(tmp_path / "some.json")

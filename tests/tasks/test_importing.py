@@ -24,7 +24,7 @@ from simgap import resample
 from simgap.resample import Stream
 from simgap.simulators.spot import SCHEMA
 from simgap.types import ConfigError, Recording, RecordingError, SimgapError
-from tasks import files
+from tasks.files.recordings import read_recordings
 
 RATE, SECONDS = 20.0, 8.0
 EPOCH_NS = 1_780_000_000_000_000_000
@@ -153,7 +153,7 @@ TABLE = mapping({n: {"column": n} for n in SCHEMA.columns[1:]}, time={"column": 
 def imported(folder: Path, source: Path, given: dict[str, Any]) -> list[Recording]:
     (folder / "mapping.yaml").write_text(yaml.safe_dump(given))
     import_recordings(source, folder / "mapping.yaml", folder / "out", "spot")
-    return files.read_recordings(folder / "out", SCHEMA, 1 / RATE)[0]
+    return read_recordings(folder / "out", SCHEMA, 1 / RATE)[0]
 
 
 SOURCES: dict[str, tuple[str, Callable[[Path], Any], dict[str, Any]]] = {
@@ -325,7 +325,7 @@ def test_the_mapping_of_the_docs_works_as_printed(tmp_path: Path) -> None:
     (tmp_path / "mapping.yaml").write_text(printed)
     write_printed(tmp_path / "walk", late_ns=200_000_000)
     import_recordings(tmp_path / "walk", tmp_path / "mapping.yaml", tmp_path / "out", "spot")
-    ((recording,), errors) = files.read_recordings(tmp_path / "out", SCHEMA, 1 / 15)
+    ((recording,), errors) = read_recordings(tmp_path / "out", SCHEMA, 1 / 15)
     assert not errors
     time = np.arange(len(recording.time_s)) / 15
     np.testing.assert_allclose(recording.time_s, time, atol=1e-9)

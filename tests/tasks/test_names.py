@@ -13,7 +13,8 @@ from pydantic import TypeAdapter, ValidationError
 from test_params import ROOT
 
 from simgap.types import ConfigError, SimgapError
-from tasks import files, forms, names, ranges
+from tasks import forms, names, ranges
+from tasks.files.folders import remove_file, remove_folder
 from tasks.params import load_params
 from tasks.sealed.workspace import SealedWorkspace
 from tasks.workspace import Workspace
@@ -124,19 +125,19 @@ def test_nothing_outside_is_deleted(workspace: Path, outside: Path) -> None:
     theirs = [workspace / "data" / ".." / ".." / "theirs", workspace / "link", workspace / "up" / "theirs", outside]
     for path in (*theirs, workspace, workspace / "data" / "..", workspace.parent):
         with pytest.raises(SimgapError, match="does not lie in"):
-            files.remove_folder(path, workspace)
+            remove_folder(path, workspace)
     for path in theirs:
         with pytest.raises(SimgapError, match="does not lie in"):
-            files.remove_file(path / "thesis.tex", workspace)
+            remove_file(path / "thesis.tex", workspace)
     assert (outside / "thesis.tex").read_text() == "years of work"
 
 
 def test_of_a_link_in_a_folder_that_is_deleted_the_link_goes_alone(workspace: Path, outside: Path) -> None:
     (workspace / "data" / "link").symlink_to(outside)
     (workspace / "loose").symlink_to(outside / "thesis.tex")
-    files.remove_folder(workspace / "data", workspace)
-    files.remove_file(workspace / "loose", workspace)
-    files.remove_file(workspace / "loose", workspace)
+    remove_folder(workspace / "data", workspace)
+    remove_file(workspace / "loose", workspace)
+    remove_file(workspace / "loose", workspace)
     assert list(workspace.iterdir()) == []
     assert (outside / "thesis.tex").exists()
 
@@ -163,6 +164,6 @@ def test_what_could_not_be_deleted_is_named_with_the_reason(readonly: Path) -> N
     kept = readonly / "data" / "part" / "kept"
     words = rf"data: {kept} cannot be deleted \(Permission denied\), nor 2 others\. Fix the permissions"
     with pytest.raises(SimgapError, match=words):
-        files.remove_folder(readonly / "data", readonly)
+        remove_folder(readonly / "data", readonly)
     with pytest.raises(SimgapError, match=rf"{kept}: cannot be deleted \(Permission denied\)"):
-        files.remove_file(kept, readonly)
+        remove_file(kept, readonly)

@@ -13,7 +13,10 @@ from simgap.models import FittedSpot
 from simgap.policies.actor import Actor
 from simgap.simulators.spot import SCHEMA
 from simgap.types import ConfigError, SimgapError
-from tasks import files, policy, policy_pyfunc
+from tasks import policy, policy_pyfunc
+from tasks.files.arrays import save_arrays
+from tasks.files.documents import read_json, write_json, write_text
+from tasks.files.models import load_policy, save_model, save_policy
 from tasks.fingerprint import POLICY, TRAINING, code_digest, modules_of, of_policy
 from tasks.params import PolicyParams, load_params
 from tasks.workspace import Cell, Workspace
@@ -42,12 +45,12 @@ def workspace(tmp_path: Path) -> Workspace:
     found = Workspace(tmp_path, "virtual")
     phi = jnp.concatenate([jnp.full(6, 0.3), jnp.zeros(12), jnp.ones(6)])
     model = FittedSpot(phi, jnp.full(13, 1e-3), jnp.full(13, 3.0), jnp.float32(1 / 15))
-    files.save_model(found.model(CELL), model)
-    files.write_json(found.record(CELL), {"fingerprint": "of the model"})
+    save_model(found.model(CELL), model)
+    write_json(found.record(CELL), {"fingerprint": "of the model"})
     rows = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 31)).astype(np.float32)
     for split in ("training", "test"):
         arrays = {"x": rows, "y": rows[:, :13], "session": np.zeros(200, np.int32)}
-        files.save_arrays(found.transitions / f"{split}.npz", arrays)
+        save_arrays(found.transitions / f"{split}.npz", arrays)
     return found
 
 
@@ -69,7 +72,7 @@ def killed_at(step_at: int) -> Callable[[int, dict[str, float]], None]:
 
 def test_a_policy_killed_halfway_is_gone_on_with_to_the_same_result(workspace: Workspace, tmp_path: Path) -> None:
     learn(workspace, TINY, ignore)
-    whole, curve = files.load_policy(workspace.policy(CELL)), files.read_json(workspace.policy_record(CELL))["curve"]
+    whole, curve = load_policy(workspace.policy(CELL)), read_json(workspace.policy_record(CELL))["curve"]
     workspace.policy(CELL).unlink()
     workspace.policy_record(CELL).unlink()
 
@@ -80,8 +83,8 @@ def test_a_policy_killed_halfway_is_gone_on_with_to_the_same_result(workspace: W
     steps: list[int] = []
     learn(workspace, TINY, lambda step, _: steps.append(step))
     assert steps == curve["step"][1:]
-    assert files.read_json(workspace.policy_record(CELL))["curve"] == curve
-    resumed = files.load_policy(workspace.policy(CELL))
+    assert read_json(workspace.policy_record(CELL))["curve"] == curve
+    resumed = load_policy(workspace.policy(CELL))
     np.testing.assert_array_equal(resumed.layers[0][0], whole.layers[0][0])
     np.testing.assert_array_equal(resumed.std, whole.std)
     assert not list(tmp_path.rglob("*checkpoint*")), "a finished policy needs none"
@@ -124,8 +127,8 @@ def test_a_policy_comes_back_from_its_file_and_acts_in_mlflows_tables(workspace:
     layers = [(rng.normal(size=(24, 8)), rng.normal(size=8)), (rng.normal(size=(8, 12)), rng.normal(size=12))]
     actor = Actor(layers, rng.normal(size=24), rng.uniform(1, 2, 24), np.array([1.0, 0.8, 1.0, 0.8, 0.8, 0.8]))  # type: ignore[arg-type]
     path = workspace.policy(CELL)
-    files.save_policy(path, actor)
-    loaded = files.load_policy(path)
+    save_policy(path, actor)
+    loaded = load_policy(path)
     np.testing.assert_array_equal(loaded.layers[1][0], layers[1][0])
 
     columns = policy.input_columns()
@@ -141,14 +144,14 @@ def test_a_policy_comes_back_from_its_file_and_acts_in_mlflows_tables(workspace:
 
 def test_a_file_that_holds_no_policy_is_told_as_such(workspace: Workspace) -> None:
     with pytest.raises(SimgapError, match="holds no policy"):
-        files.load_policy(workspace.model(CELL))
+        load_policy(workspace.model(CELL))
 
 
 def test_what_the_grid_no_longer_has_is_removed_checkpoints_too(workspace: Workspace) -> None:
     gone = CELL._replace(seed=9)
     for cell in (CELL, gone):
         for path in (workspace.policy(cell), workspace.policy_record(cell), workspace.checkpoint(cell)):
-            files.write_text(path, "")
+            write_text(path, "")
     policy.remove_stale(workspace, [CELL])
     assert not [path for path in workspace.policies.iterdir() if gone.name in path.name]
     assert len(list(workspace.policies.iterdir())) == 3

@@ -7,7 +7,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tasks import files, report, score
+from tasks import report, score
+from tasks.files.documents import read_json
 from tasks.workspace import Workspace
 
 
@@ -118,6 +119,6 @@ def test_a_score_that_is_not_finite_stays_one_scores_trouble(tmp_path: Path) -> 
     workspace = Workspace(tmp_path, "virtual")
     score.write(workspace, [{**r, "nll": math.inf} if r["model"] == "fsvgd" else r for r in PAPER])
     report.write(workspace, score.load(workspace), ["gaussian"], 60)
-    metrics = files.read_json(workspace.reports / "metrics.json")["gaussian"]
+    metrics = read_json(workspace.reports / "metrics.json")["gaussian"]
     assert metrics["fsvgd"]["N1000"]["nll"] is None
     assert metrics["sim_fsvgd"]["N1000"]["nll"] == pytest.approx(-19.9667, abs=1e-3)

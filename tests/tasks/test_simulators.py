@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 
 from simgap.simulators.spot import Spot
 from simgap.types import ConfigError, Field, Parameter, Schema
-from tasks import trial
-from tasks.simulators import MEMBERS, check, find, load, make
+from tasks.simulators import trial
+from tasks.simulators.checks import MEMBERS, check
+from tasks.simulators.loading import find, load, make
 
 CART_X = Field("p", "m", "position", "world", "cart", "x")
 CART_V = Field("v", "m/s", "velocity", "world", "cart", "x")

@@ -24,25 +24,30 @@ from simgap.recordings import Normalisation
 from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import DivergenceError, SimgapError
-from tasks import files, pyfunc, tracking
-from tasks.tracking import Run, Store
+from tasks import pyfunc
+from tasks.files.models import save_model
+from tasks.tracking import links
+from tasks.tracking.models import log_model
+from tasks.tracking.runs import Run, cell_run, close_stale_runs, grid_run, latest_run
+from tasks.tracking.store import Store, open_store
 
 OUTPUTS = SCHEMA.encoded
 INPUTS = OUTPUTS + tuple(f"{c.name}_{age}" for age in ("t-2", "t-1", "t") for c in SCHEMA.command)
 DYING = """
 import os, sys
 from pathlib import Path
-from tasks import tracking
+from tasks.tracking.runs import cell_run
+from tasks.tracking.store import open_store
 
-store = tracking.open_store(Path(sys.argv[1]), "grid")
-with tracking.cell_run(store, "none", sys.argv[2], {}):
+store = open_store(Path(sys.argv[1]), "grid")
+with cell_run(store, "none", sys.argv[2], {}):
     os._exit(9)
 """
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    return tracking.open_store(tmp_path_factory.mktemp("store"), "grid")
+    return open_store(tmp_path_factory.mktemp("store"), "grid")
 
 
 def facts(run: Run):
@@ -72,8 +77,8 @@ def fitted_spot() -> models.FittedSpot:
 
 
 def test_a_grid_holds_its_cells(store: Store):
-    with tracking.grid_run(store, "grid", {"train": {"bnn": {"layers": [64, 64]}}, "seeds": 5}, {"git": "f00"}) as grid:
-        with tracking.cell_run(store, grid.run_id, "fsvgd-N500-s1", {"model": "fsvgd"}) as cell:
+    with grid_run(store, "grid", {"train": {"bnn": {"layers": [64, 64]}}, "seeds": 5}, {"git": "f00"}) as grid:
+        with cell_run(store, grid.run_id, "fsvgd-N500-s1", {"model": "fsvgd"}) as cell:
             cell.params({"sample_size": 500} | {f"knob_{i}": i for i in range(150)})
             cell.curve([0, 100], {"nll": [3.0, 1.0]})
             cell.scores({"nll": -2.5})
@@ -98,7 +103,7 @@ def test_a_curve_is_thinned_and_keeps_what_matters(store: Store):
     steps = np.arange(0, 30_000, 10)
     loss = np.exp(-steps / 1e4)
     loss[[0, 1234, 1777, -1]] = 0.9, -5.0, 40.0, 0.1
-    with tracking.cell_run(store, "none", "curve", {}) as run:
+    with cell_run(store, "none", "curve", {}) as run:
         run.curve(steps.tolist(), {"loss": loss.tolist(), "flat": [1.0] * len(steps)})
     kept = history(run, "training/loss")
     assert len(kept) <= 100
@@ -108,13 +113,13 @@ def test_a_curve_is_thinned_and_keeps_what_matters(store: Store):
 
 
 def test_more_points_than_a_batch_takes(store: Store):
-    with tracking.cell_run(store, "none", "many", {}) as run:
+    with cell_run(store, "none", "many", {}) as run:
         run.curve(list(range(100)), {f"m{i:02}": [float(i)] * 100 for i in range(25)})
     assert all(len(history(run, f"training/m{i:02}")) == 100 for i in range(25))
 
 
 def test_what_is_not_finite_is_nan_and_named(store: Store):
-    with tracking.cell_run(store, "none", "diverged", {}) as run:
+    with cell_run(store, "none", "diverged", {}) as run:
         run.curve([0, 1, 2], {"loss": [1.0, math.inf, math.nan], "fine": [1.0, 2.0, 3.0]})
         run.scores({"nll": -math.inf, "rmse": 0.1})
     curve = history(run, "training/loss")
@@ -127,12 +132,12 @@ def test_what_is_not_finite_is_nan_and_named(store: Store):
 
 
 def test_a_failing_cell_fails_alone(store: Store):
-    with tracking.grid_run(store, "grid", {}, {}) as grid:
-        with pytest.raises(DivergenceError), tracking.cell_run(store, grid.run_id, "bad", {}) as bad:
+    with grid_run(store, "grid", {}, {}) as grid:
+        with pytest.raises(DivergenceError), cell_run(store, grid.run_id, "bad", {}) as bad:
             raise DivergenceError("the loss left the finite numbers at step 40")
-        with pytest.raises(KeyboardInterrupt), tracking.cell_run(store, grid.run_id, "stopped", {}) as stopped:
+        with pytest.raises(KeyboardInterrupt), cell_run(store, grid.run_id, "stopped", {}) as stopped:
             raise KeyboardInterrupt
-        with tracking.cell_run(store, grid.run_id, "good", {}) as good:
+        with cell_run(store, grid.run_id, "good", {}) as good:
             pass
     assert [facts(r).info.status for r in (bad, stopped, good, grid)] == ["FAILED", "KILLED", "FINISHED", "FINISHED"]
     assert facts(bad).data.tags["error"] == "DivergenceError: the loss left the finite numbers at step 40"
@@ -141,28 +146,28 @@ def test_a_failing_cell_fails_alone(store: Store):
 
 def test_the_latest_run_is_found_by_its_tags(store: Store):
     mark = {"fingerprint": "abc", "git": "f00"}
-    with tracking.cell_run(store, "none", "older", mark):
+    with cell_run(store, "none", "older", mark):
         pass
     time.sleep(0.01)  # start times are in milliseconds
-    with tracking.cell_run(store, "none", "latest", mark) as latest:
+    with cell_run(store, "none", "latest", mark) as latest:
         pass
-    with pytest.raises(ValueError, match="no"), tracking.cell_run(store, "none", "failed", mark):
+    with pytest.raises(ValueError, match="no"), cell_run(store, "none", "failed", mark):
         raise ValueError("no")
-    with tracking.cell_run(store, "none", "other", {"fingerprint": "abc", "git": "f01"}):
+    with cell_run(store, "none", "other", {"fingerprint": "abc", "git": "f01"}):
         pass
-    assert tracking.latest_run(store, mark) == latest
-    assert tracking.latest_run(store, {"fingerprint": "unknown"}) is None
+    assert latest_run(store, mark) == latest
+    assert latest_run(store, {"fingerprint": "unknown"}) is None
 
 
 def test_threads_log_cells_at_once(store: Store, tmp_path: Path):
-    files.save_model(tmp_path / "model.npz", fitted_spot())
+    save_model(tmp_path / "model.npz", fitted_spot())
 
     def log(k: int) -> Run:
-        with tracking.cell_run(pickle.loads(pickle.dumps(store)), "none", f"thread-{k}", {}) as run:
+        with cell_run(pickle.loads(pickle.dumps(store)), "none", f"thread-{k}", {}) as run:
             run.params({"k": k})
             run.curve(list(range(100)), {f"m{i}": [float(k)] * 100 for i in range(5)})
             run.dataset("shared", Path("shared.npz"), "1234", "training")
-            run.model(tmp_path / "model.npz", INPUTS, OUTPUTS)
+            log_model(run, tmp_path / "model.npz", INPUTS, OUTPUTS)
             run.scores({"k": k})
         return run
 
@@ -196,8 +201,8 @@ def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):
     script = [sys.executable, "-c", DYING, str(tmp_path)]
     dying = [subprocess.Popen([*script, name]) for name in ("one", "two")]
     assert [p.wait() for p in dying] == [9, 9]
-    store = tracking.open_store(tmp_path, "grid")
-    with tracking.cell_run(store, "none", "live", {}) as live:
+    store = open_store(tmp_path, "grid")
+    with cell_run(store, "none", "live", {}) as live:
         owner = {k: v for k, v in facts(live).data.tags.items() if k.startswith("simgap.")}
         hour_ago_ms = int(1000 * (time.time() - 3600))
         younger = subprocess.Popen(["sleep", "60"])  # a run of an hour ago whose number this process has now
@@ -207,14 +212,14 @@ def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):
         store.client.create_run(store.experiment_id, hour_ago_ms, elsewhere, "elsewhere")
         store.client.create_run(store.experiment_id, run_name="foreign")
         try:
-            assert sorted(tracking.close_stale_runs(store)) == ["one", "reused", "two"]
+            assert sorted(close_stale_runs(store)) == ["one", "reused", "two"]
         finally:
             younger.kill()
             younger.wait()
         status = {r.info.run_name: r.info.status for r in store.client.search_runs([store.experiment_id])}
     gone = dict.fromkeys(("one", "two", "reused"), "KILLED")
     assert status == gone | dict.fromkeys(("live", "elsewhere", "foreign"), "RUNNING")
-    assert tracking.close_stale_runs(store) == []
+    assert close_stale_runs(store) == []
     assert facts(live).info.status == "FINISHED"
 
 
@@ -222,10 +227,10 @@ def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):
 def test_a_logged_model_loads_and_predicts(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: models.Model
 ):
-    files.save_model(tmp_path / "model.npz", model)
-    with tracking.cell_run(store, "none", "model", {}) as run:
+    save_model(tmp_path / "model.npz", model)
+    with cell_run(store, "none", "model", {}) as run:
         run.params({"seed": 1})
-        uri = run.model(tmp_path / "model.npz", INPUTS, OUTPUTS)
+        uri = log_model(run, tmp_path / "model.npz", INPUTS, OUTPUTS)
     Run(store, run.run_id).scores({"nll": -3.0})  # a later stage's
     assert os.environ.get("MLFLOW_TRACKING_URI") is None
     logged = store.client.get_logged_model(uri.removeprefix("models:/"))
@@ -256,18 +261,18 @@ def test_noise_std_is_the_standard_deviation_where_noise_is_gaussian():
 
 
 def test_a_link_leads_to_the_run(store: Store):
-    with tracking.cell_run(store, "none", "fsvgd-N100-s0", {}) as run:
+    with cell_run(store, "none", "fsvgd-N100-s0", {}) as run:
         pass
-    text = tracking.link(store, run.run_id)
+    text = links.to_run(store, run.run_id)
     assert text.startswith(f"fsvgd-N100-s0: mlflow ui --backend-store-uri {store.uri}, then http://")
     assert f"#/experiments/{store.experiment_id}/runs/{run.run_id}?" in text
     server = Store("https://me:secret@host/", "grid", "7")
-    assert tracking.link(server, "abc") == "https://host/#/experiments/7/runs/abc?workflowType=machine_learning"
+    assert links.to_run(server, "abc") == "https://host/#/experiments/7/runs/abc?workflowType=machine_learning"
 
 
 def test_a_deleted_experiment_says_what_to_do(tmp_path: Path, store: Store):
-    gone = tracking.open_store(tmp_path, "gone", store.uri)
-    assert tracking.open_store(tmp_path, "gone", store.uri) == gone
+    gone = open_store(tmp_path, "gone", store.uri)
+    assert open_store(tmp_path, "gone", store.uri) == gone
     store.client.delete_experiment(gone.experiment_id)
     with pytest.raises(SimgapError, match=re.escape(f"restore --experiment-id {gone.experiment_id}")):
-        tracking.open_store(tmp_path, "gone", store.uri)
+        open_store(tmp_path, "gone", store.uri)

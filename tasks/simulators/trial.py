@@ -1,6 +1,6 @@
 """Tries a user's simulator in a process of its own: what its code does to the process, it does to this one alone.
 
-Cheap to import, as `simulator_names` is.
+Cheap to import, as `names` is.
 """
 
 import json
@@ -11,7 +11,7 @@ import sys
 from functools import cache
 
 from simgap.types import ConfigError
-from tasks.simulator_names import BUILT_IN, place
+from tasks.simulators.names import BUILT_IN, place
 
 PATIENCE_S = 300
 """Time for importing, making and trying a simulator [s]; a diagnosis compiles its step dozens of times."""
@@ -23,7 +23,7 @@ def check(spec: str) -> None:
     if spec in BUILT_IN:
         return
     place(spec)
-    start = "import json, sys; sys.path[:] = json.load(sys.stdin); from tasks.trial import main; main()"
+    start = "import json, sys; sys.path[:] = json.load(sys.stdin); from tasks.simulators.trial import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", start, spec, str(PATIENCE_S)], input=json.dumps(sys.path),
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
@@ -63,19 +63,21 @@ def main() -> None:
     report("doing", "importing JAX")
     import jax
 
-    from tasks import simulators
+    from tasks.simulators.checks import check as check_here
+    from tasks.simulators.loading import find, make
+    from tasks.simulators.user_code import reason
 
     jax.config.update("jax_platforms", "cpu")  # next to nothing is computed: no accelerator's memory is taken for it
     try:
         report("doing", "importing its module")
-        found = simulators.find(spec)
+        found = find(spec)
         report("doing", "making it")
-        simulator = simulators.make(found, spec)
+        simulator = make(found, spec)
         report("doing", "trying its members and its step")
-        simulators.check(simulator, spec)
+        check_here(simulator, spec)
     except ConfigError as error:
         report("wrong", str(error))
     except BaseException as error:
-        report("wrong", f"{spec}: it must pass the checks of docs/simulators.md; they gave {simulators.reason(error)}.")
+        report("wrong", f"{spec}: it must pass the checks of docs/simulators.md; they gave {reason(error)}.")
     else:
         report("passed", "")

@@ -1,0 +1,55 @@
+"""Links to runs in MLflow's pages, and the pages themselves."""
+
+import base64
+import json
+import shlex
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+from tasks.tracking.store import Store, without_password
+
+# The pages open in a mode for language models otherwise.
+_TRAINING = "?workflowType=machine_learning"
+MODEL_COLUMNS = (
+    "metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`seconds`",
+    "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`",
+)  # fmt: skip
+POLICY_COLUMNS = (
+    "metrics.`helix/mean_error`", "metrics.`ellipse/mean_error`", "metrics.`return`", "metrics.`lost`",
+    "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`",
+)  # fmt: skip
+DIAGNOSIS_COLUMNS = (
+    "metrics.`augmented/nll_1`", "metrics.`refitted/nll_1`", "metrics.`black_box/nll_1`", "tags.`verdict`",
+    "tags.`effects`", "params.`simulator`", "params.`transitions`", "tags.`config`",
+)  # fmt: skip
+"""Columns shown where runs stand side by side, sorted by the first; see `to_comparison`."""
+
+
+def to_run(store: Store, run_id: str) -> str:
+    """How a person finds the run: its address, or the command that serves it and the address then."""
+    page = f"#/experiments/{store.experiment_id}/runs/{run_id}{_TRAINING}"
+    if store.pages or store.uri.startswith("http"):
+        return f"{without_password(store.pages or store.uri).rstrip('/')}/{page}"
+    served = f"mlflow ui --backend-store-uri {shlex.quote(without_password(store.uri))}"
+    name = store.client.get_run(run_id).info.run_name
+    return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
+
+
+def to_comparison(store: Store, view: str, query: str, columns: Sequence[str]) -> str:
+    """Where the runs that a query finds stand side by side in the pages, as the view of this name: these columns, the
+    least value of the first on top; empty where no pages are served."""
+    if not store.pages:
+        return ""
+    state = {"searchFilter": query, "selectedColumns": columns, "orderByKey": columns[0], "orderByAsc": True}
+    # As the pages' own button for sharing a view writes it.
+    packed = "deflate;" + base64.b64encode(zlib.compress(json.dumps(state).encode())).decode()
+    store.client.set_experiment_tag(store.experiment_id, f"mlflow.sharedViewState.{view}", packed)
+    return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={view}"
+
+
+def application() -> Any:
+    """MLflow's pages and interface, as an ASGI application."""
+    from mlflow.server.fastapi_app import app  # seconds, and a store in the environment
+
+    return app
