@@ -27,7 +27,7 @@ from simgap.effects.augmented import Augmented
 from simgap.robots.operator import OperatorConfig, record
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.simulators.spot import Spot
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 
 OUTPUT = Path(__file__).with_name("diagnosis.json")
 SESSIONS = 8
@@ -60,7 +60,7 @@ def main() -> None:
 
 def _timed(training: list[Recording], heldout: list[Recording]) -> tuple[float, Diagnosis]:
     begun = time.perf_counter()
-    found = diagnose(Spot(), "spot", training, heldout)
+    found = diagnose(Spot(), "spot", Sessions(training, heldout))
     return time.perf_counter() - begun, found
 
 

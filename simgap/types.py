@@ -5,7 +5,7 @@ Imports neither NumPy nor JAX: commands report wrong arguments before these are 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -100,6 +100,19 @@ class Recording(NamedTuple):
     time_s: Float[np.ndarray, " T"]
     state: Float[np.ndarray, "T s"]
     command: Float[np.ndarray, "T u"]
+
+
+class Sessions(NamedTuple):
+    """Recordings by what they serve: fitted to, held out to judge by, and a baseline from when all was well (may be none)."""
+
+    training: Sequence[Recording]
+    heldout: Sequence[Recording]
+    baseline: Sequence[Recording] = ()
+
+    @property
+    def fitted(self) -> list[Recording]:
+        """All that are fitted to, those of the baseline first."""
+        return [*self.baseline, *self.training]
 
 
 class Transitions(NamedTuple):

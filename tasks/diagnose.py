@@ -11,7 +11,7 @@ from prefect import task
 from simgap.derived import derived, sentence
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
 from simgap.diagnosis.inference.explain import split
-from simgap.types import Recording, RecordingError, Schema, StepModel
+from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
 from tasks import fingerprint
 from tasks.diagnosis_page import page
 from tasks.files.arrays import save_arrays
@@ -32,14 +32,6 @@ class Folders(NamedTuple):
     recordings: Path
     heldout: Path | None = None
     baseline: Path | None = None
-
-
-class Sessions(NamedTuple):
-    """Sessions by what they serve; `baseline` may be empty."""
-
-    training: list[Recording]
-    heldout: list[Recording]
-    baseline: list[Recording]
 
 
 @task(task_run_name="read-{folders.recordings.name}")
@@ -86,7 +78,7 @@ def _apart(recordings: list[Recording], others: Sequence[Recording], folder: Pat
 @task(task_run_name="diagnose-{name}")
 def find(simulator: StepModel, name: str, sessions: Sessions, seed: int, say: Callable[[str], None]) -> Diagnosis:
     """What the simulator called `name` leaves out; `say(line)` tells what is being tried."""
-    return diagnose(simulator, name, sessions.training, sessions.heldout, sessions.baseline, seed, say)
+    return diagnose(simulator, name, sessions, seed, say)
 
 
 @task(task_run_name="write-{folder.name}")

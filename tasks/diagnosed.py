@@ -10,7 +10,7 @@ from simgap.diagnosis.inference.explain import explain
 from simgap.recordings import HISTORY, divide
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import ConfigError, Recording
+from simgap.types import ConfigError, Recording, Sessions
 from tasks.cells import finished
 from tasks.files.arrays import load_arrays, save_arrays
 from tasks.files.documents import read_json, write_json
@@ -22,13 +22,6 @@ from tasks.workspace import Cell, Share, Workspace
 
 FITTED = 0.75
 """Share of the transitions that the effects are fitted to; the others judge, none of the test sessions does."""
-
-
-class Sessions(NamedTuple):
-    """Sessions and parts of sessions to fit effects to and to judge them by."""
-
-    training: list[Recording]
-    heldout: list[Recording]
 
 
 class Found(NamedTuple):
@@ -87,7 +80,7 @@ def find(
     # Should this fail, what was found by other code must not pass for its result.
     remove_file(record, workspace.root)
     start, spot = clock(), Spot(time_step=time_step)
-    found = explain(spot, used.training, used.heldout, (), np.random.default_rng(share.seed), say)
+    found = explain(spot, used, np.random.default_rng(share.seed), say)
     simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
     save_arrays(arrays, augmented_arrays(simulator))
     write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,

@@ -28,7 +28,7 @@ def examine(case: Path, out: Path, seed: int) -> None:
     sessions, errors = read.fn(folders, simulator)
     if errors:
         raise ValueError("; ".join(errors))
-    found = diagnose(simulator, "spot", sessions.training, sessions.heldout, sessions.baseline, seed)
+    found = diagnose(simulator, "spot", sessions, seed)
     write_json(out, found.statement)
 
 

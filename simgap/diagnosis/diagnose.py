@@ -24,7 +24,7 @@ from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import sensitivity
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Regime
-from simgap.types import Recording, StepModel
+from simgap.types import Recording, Sessions, StepModel
 
 
 class AugmentedModel(NamedTuple):
@@ -56,15 +56,7 @@ def _quiet(_: str) -> None:
     """Nobody listens."""
 
 
-def diagnose(
-    simulator: StepModel,
-    name: str,
-    training: Sequence[Recording],
-    heldout: Sequence[Recording],
-    baseline: Sequence[Recording] = (),
-    seed: int = 0,
-    say: Say = _quiet,
-) -> Diagnosis:
+def diagnose(simulator: StepModel, name: str, sessions: Sessions, seed: int = 0, say: Say = _quiet) -> Diagnosis:
     """Diagnose the simulator called `name` against recordings; `say(line)` is told what is being tried.
 
     With a `baseline` the question is what changed since: the simulator is refitted to both sets, with the effects that
@@ -73,17 +65,16 @@ def diagnose(
     Raises DivergenceError when the simulator leaves the finite numbers on the recordings at its nominal parameters.
     """
     rng = np.random.default_rng(seed)
-    found = explain(simulator, training, heldout, baseline, rng, say)
+    found = explain(simulator, sessions, rng, say)
     say("judging on held-out sessions")
     contestants = _contestants(found, rng)
-    judged = _judged(found, contestants, training, heldout)
+    judged = _judged(found, contestants, sessions)
     problem = found.problem
     seen = sensitivity(problem, found.rounds[0].screening, candidates(problem.augmented, problem.scales))
-    beyond = _beyond_ranges(found, simulator, (training, heldout, baseline), rng, say)
+    beyond = _beyond_ranges(found, simulator, sessions, rng, say)
     outcome = report.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
     say("looking for the experiment that would tell explanations apart")
-    plan, none = _experiment(found, training)
-    sessions = report.Sessions(training, heldout, baseline)
+    plan, none = _experiment(found, sessions.training)
     statement = report.statement(name, found, sessions, outcome, plan, rng)
     statement["notes"] += none
     evidence = report.evidence(found, sessions, outcome, plan)
@@ -94,7 +85,7 @@ def diagnose(
 def _beyond_ranges(
     found: Explanation,
     simulator: StepModel,
-    sessions: tuple[Sequence[Recording], Sequence[Recording], Sequence[Recording]],
+    sessions: Sessions,
     rng: np.random.Generator,
     say: Say,
 ) -> Explanation | None:
@@ -105,7 +96,7 @@ def _beyond_ranges(
     if not found.anything or not at_bound(found.problem, found.base):
         return None
     say(f"the same with ranges that do not hold, as {', '.join(at_bound(found.problem, found.base))} would leave them")
-    return explain(simulator, *sessions, rng, say, ranges_hold=False)
+    return explain(simulator, sessions, rng, say, ranges_hold=False)
 
 
 def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:
@@ -120,15 +111,10 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
     return {**models, "black_box": contestant(found.base.v, box)}
 
 
-def _judged(
-    found: Explanation,
-    contestants: dict[str, Contestant],
-    training: Sequence[Recording],
-    heldout: Sequence[Recording],
-) -> Judgement:
+def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Sessions) -> Judgement:
     """Every contestant on pieces of both; nothing where held-out sessions are too short for a single piece."""
     step = found.problem.augmented.simulator.time_step
-    fitted, unseen = scores.pieces_of(training, step), scores.pieces_of(heldout, step)
+    fitted, unseen = scores.pieces_of(sessions.training, step), scores.pieces_of(sessions.heldout, step)
     if fitted is None or unseen is None:
         return Judgement({}, {}, ())
     # In which regime a forecast is, it says itself.

@@ -12,11 +12,7 @@ ARGUMENTS = 6
 """Of a function, `self` and `cls` not counted. A config object or a NamedTuple takes the rest."""
 
 # Functions of the numerics with seven to nine arguments, the symbols of their equations. To be bundled.
-BEING_REBUILT = (
-    "simgap/diagnosis/diagnose.py",
-    "simgap/diagnosis/inference/explain.py",
-    "simgap/effects/step.py",
-)
+BEING_REBUILT = ("simgap/effects/step.py",)
 # Trained models and policies carry a digest of these files: an edit would discard hours of training.
 TRAINED_WITH = (
     "simgap/fsvgd.py",

@@ -14,7 +14,7 @@ from mlflow import MlflowClient
 
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.inference.explain import split
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 from tasks.files.documents import read_json
 from tasks.simulators.loading import find, make
 
@@ -145,7 +145,7 @@ def test_nothing_is_named_where_nothing_is_missing(folder: Path, monkeypatch: py
     monkeypatch.delitem(sys.modules, "own_pendulum", raising=False)
     simulator = make(find("pendulum:FREE"), "pendulum:FREE")
     training, heldout = split(recorded(0.0))
-    found = diagnose(simulator, "free", training, heldout)
+    found = diagnose(simulator, "free", Sessions(training, heldout))
     assert found.experiment is None
     assert found.statement["effects"] == found.statement["resembles"] == []
     assert found.statement["verdict"] not in ("missing_physics", "unexplained")

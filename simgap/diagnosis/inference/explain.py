@@ -23,7 +23,7 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, w
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
 from simgap.effects.augmented import Augmented
-from simgap.types import Recording, StepModel
+from simgap.types import Recording, Sessions, StepModel
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
@@ -69,21 +69,14 @@ class _Found(NamedTuple):
 
 
 def explain(
-    simulator: StepModel,
-    training: Sequence[Recording],
-    heldout: Sequence[Recording],
-    baseline: Sequence[Recording],
-    rng: np.random.Generator,
-    say: Say,
-    ranges_hold: bool = True,
+    simulator: StepModel, sessions: Sessions, rng: np.random.Generator, say: Say, ranges_hold: bool = True
 ) -> Explanation:
     """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`, `ranges_hold` as in
     `Problem`."""
-    augmented = Augmented(simulator)
-    sessions = [*baseline, *training]
-    scales, time_step = measure(augmented, sessions), simulator.time_step
-    chunks = behind_gate(cut(sessions, time_step), len(baseline))
-    unseen = cut(heldout, time_step, least=len(chunks.row))
+    augmented, baseline = Augmented(simulator), sessions.baseline
+    scales, time_step = measure(augmented, sessions.fitted), simulator.time_step
+    chunks = behind_gate(cut(sessions.fitted, time_step), len(baseline))
+    unseen = cut(sessions.heldout, time_step, least=len(chunks.row))
     problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.state)), ranges_hold)
     as_is = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(as_is.e))
@@ -91,7 +84,7 @@ def explain(
     asked = _Asked(chunks, unseen, as_is, throughout, events, len(baseline), rng, say)
     if baseline:
         asked = asked._replace(as_is=_with_baseline(asked, problem, baseline))
-    say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions)} sessions")
+    say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions.fitted)} sessions")
     # A change is measured beside its twin: what both have and the baseline alone was too short to show is no change.
     found = _look(asked, problem, unseen, [changed(c) for c in throughout] if baseline else throughout, ())
     changes = bool(baseline and found.members)  # beside which nothing else is looked for
@@ -105,7 +98,7 @@ def explain(
     say("looking at the scatter that is left")
     problem, fit, _ = found.model
     if baseline:
-        scattered = scatter_since(found.model, training, baseline, found.unseen)
+        scattered = scatter_since(found.model, sessions, found.unseen)
     elif fit is not looked_at:
         scattered = scatter(problem, fit, found.unseen)
     # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains

@@ -1,6 +1,5 @@
 """What changed since a baseline: a difference between two sets of sessions, beyond that between sessions of one set."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from simgap.diagnosis.inference.whiteness import LeftOver, by_row, left_over
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
-from simgap.types import Recording
+from simgap.types import Sessions
 
 
 def behind_gate(chunks: Chunks, baseline: int) -> Chunks:
@@ -86,13 +85,11 @@ def leaves(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
     return left_since(problem, fit, baseline) if baseline else left_over(problem, fit)
 
 
-def scatter_since(
-    model: Model, training: Sequence[Recording], baseline: Sequence[Recording], unseen: Chunks
-) -> list[Scatter]:
+def scatter_since(model: Model, sessions: Sessions, unseen: Chunks) -> list[Scatter]:
     """Effects on the scatter that the baseline does not have as well."""
     problem, fit, _ = model
     time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
-    after, before = (cut(sessions, time_step, least) for sessions in (training, baseline))
+    after, before = (cut(some, time_step, least) for some in (sessions.training, sessions.baseline))
     at = problem._replace(chunks=after)
     return scatter(at, evaluate(at, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate))
 

@@ -1,7 +1,7 @@
 """Parts of the statement that need no verdict: parameters, alternatives, rounds, notes."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,20 +11,7 @@ from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.sensitivity import Sensitivity
-from simgap.types import Recording
-
-
-class Sessions(NamedTuple):
-    """Recordings by what they served."""
-
-    training: Sequence[Recording]
-    heldout: Sequence[Recording]
-    baseline: Sequence[Recording]
-
-    @property
-    def fitted(self) -> list[Recording]:
-        """In the order in which the chunks number them."""
-        return [*self.baseline, *self.training]
+from simgap.types import Sessions
 
 
 def credible_set(odds: Mapping[str, float]) -> list[str]:

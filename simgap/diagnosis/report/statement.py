@@ -17,7 +17,6 @@ from simgap.diagnosis.likelihood.problem import evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.report import figures, localisation, noise_figures, wording
 from simgap.diagnosis.report.answers import (
-    Sessions,
     alternatives_of,
     beyond_of,
     credible_set,
@@ -35,7 +34,7 @@ from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 from simgap.effects.regime import features
 from simgap.effects.regime import words as rule
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 
 SCATTERED = {"form": "scatter", "where": "all"}
 """Of every effect on the scatter."""

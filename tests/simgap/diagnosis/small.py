@@ -12,7 +12,7 @@ from simgap.diagnosis.likelihood.segments import Chunks, cut
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 
 SESSIONS, ROWS = 4, 200
 """Three sessions to fit are 15 chunks, the fourth is 5: both are filled up to 16."""
@@ -43,4 +43,4 @@ def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chun
 
 def explain(training: list[Recording], heldout: list[Recording]) -> Explanation:
     """The best explanation, with the lines of the search in pytest's output."""
-    return explanation.explain(SPOT.simulator, training, heldout, (), np.random.default_rng(0), print)
+    return explanation.explain(SPOT.simulator, Sessions(training, heldout), np.random.default_rng(0), print)

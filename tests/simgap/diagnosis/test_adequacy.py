@@ -14,7 +14,7 @@ from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.validation.scores import HORIZONS, Judged, beats, changes, surely_likelier, worse_at
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 
 
 def judged(error: np.ndarray, moved: float = 1.0, sessions: int = 2, nll: float = 0.0) -> Judged:
@@ -89,7 +89,7 @@ def told(kind: str) -> dict[str, Any]:
                              for some in (training, heldout))  # fmt: skip
     if kind == "still":
         training, heldout = ([still(r) for r in some] for some in (training, heldout))
-    return diagnose(AS_IT_IS, "spot", training, heldout).statement
+    return diagnose(AS_IT_IS, "spot", Sessions(training, heldout)).statement
 
 
 def test_sessions_of_five_rows_are_too_little() -> None:
@@ -124,7 +124,9 @@ def test_an_effect_of_the_size_that_is_stated_is_found() -> None:
     """Three times the smallest size is a gain of nine times what is needed."""
     (size,) = (v["size"] for v in told("rich")["sensitivity"]["effects"]
                if (v["effect"], v["where"]) == ("coulomb_friction", "base_vx"))  # fmt: skip
-    said = diagnose(AS_IT_IS, "spot", *sessions(acting("coulomb_friction", (3 * size,), (0,)), RICH)).statement
+    said = diagnose(
+        AS_IT_IS, "spot", Sessions(*sessions(acting("coulomb_friction", (3 * size,), (0,)), RICH))
+    ).statement
     assert said["verdict"] == "missing_physics"
 
 
@@ -143,7 +145,7 @@ def delay_and_more() -> dict[str, Any]:
         state[:, 8] += np.cumsum(push) / 15
         return r._replace(state=state)
 
-    return diagnose(AS_IT_IS, "spot", *([lifted(r) for r in some] for some in (training, heldout))).statement
+    return diagnose(AS_IT_IS, "spot", Sessions(*([lifted(r) for r in some] for some in (training, heldout)))).statement
 
 
 def test_a_strong_effect_is_named_though_more_is_missing() -> None:

@@ -15,7 +15,7 @@ from simgap.diagnosis.inference.posterior import constants
 from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.inference.two_sample import behind_gate, differs
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 
 SAG = acting("gravity_sag", (0.06,))
 BOTH = SAG | acting("delay", (1.4,), (0, 1, 2))
@@ -27,7 +27,7 @@ def since(before: dict, after: dict, share: float = 0.0) -> Explanation:
     old, new = recordings(before, RICH, 1, ROWS), recordings(after, RICH + 1, 3, ROWS)
     old = [stalled(r._replace(name="before"), share, 9) for r in old]
     new = [stalled(r, share, i) for i, r in enumerate(new)]
-    return explanation.explain(SPOT.simulator, new[:2], new[2:], old, np.random.default_rng(0), print)
+    return explanation.explain(SPOT.simulator, Sessions(new[:2], new[2:], old), np.random.default_rng(0), print)
 
 
 def test_what_came_since_is_named_and_what_was_there_before_is_not() -> None:
@@ -51,7 +51,7 @@ def test_a_push_since_is_told_as_such() -> None:
     old, held = recordings({}, RICH, 1, ROWS), recordings({}, RICH + 2, 1, ROWS)
     new = recordings({}, RICH + 1, 2, ROWS, during=push, from_s=5.0, to_s=7.0, only=1)
     old, held = ([r._replace(name=name) for r in some] for name, some in (("before", old), ("held out", held)))
-    found = explanation.explain(SPOT.simulator, new, held, old, np.random.default_rng(0), print)
+    found = explanation.explain(SPOT.simulator, Sessions(new, held, old), np.random.default_rng(0), print)
     (member,) = found.members
     assert member.candidate.effect.id == "external_push"
     assert member.when is not None

@@ -22,7 +22,7 @@ from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
-from simgap.types import DivergenceError, Parameter, Recording, Schema
+from simgap.types import DivergenceError, Parameter, Recording, Schema, Sessions
 
 
 def fitted(training: list[Recording], groups: tuple[Group, ...] = ()) -> Model:
@@ -223,7 +223,7 @@ def test_a_diverging_simulator_is_told() -> None:
 def test_a_diverging_simulator_is_told_by_the_diagnosis() -> None:
     recorded = drives()
     with pytest.raises(DivergenceError, match="finite"):
-        diagnose(Explosive(), "explosive", recorded[:3], recorded[3:])
+        diagnose(Explosive(), "explosive", Sessions(recorded[:3], recorded[3:]))
 
 
 def test_keys_are_known() -> None:

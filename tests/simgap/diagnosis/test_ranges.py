@@ -16,7 +16,7 @@ from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whiten
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.effects.augmented import Augmented
-from simgap.types import Parameter, Recording
+from simgap.types import Parameter, Recording, Sessions
 
 
 def driven(params: tuple[float, float], seed: int = 0, sessions: int = 4, rows: int = 150) -> list[Recording]:
@@ -83,7 +83,7 @@ def test_ranges_in_32_bits_lie_within_the_declared_ones(low: float) -> None:
 
 def test_a_diagnosis_says_which_parameter_is_at_the_edge_of_its_range() -> None:
     recordings = driven((2.5, 5.0))
-    statement = diagnose(ranged((0.7, 1.9), (0.1, 20.0)), "drive", recordings[:3], recordings[3:]).statement
+    statement = diagnose(ranged((0.7, 1.9), (0.1, 20.0)), "drive", Sessions(recordings[:3], recordings[3:])).statement
     parameters = statement["parameters"]
     assert parameters["at_bound"] == ["mass"]
     assert 1.9 * (1 - 1e-3) <= parameters["after"]["mass"] <= 1.9
@@ -107,6 +107,6 @@ class Known(Drive):
 
 def test_a_simulator_without_parameters_is_diagnosed() -> None:
     recordings = driven((2.5, 4.0))
-    told = diagnose(Known(parameters=()), "known", recordings[:3], recordings[3:]).statement
+    told = diagnose(Known(parameters=()), "known", Sessions(recordings[:3], recordings[3:])).statement
     assert told["parameters"]["before"] == told["parameters"]["after"] == {}
     assert told["verdict"] in ("nothing", "inconclusive")

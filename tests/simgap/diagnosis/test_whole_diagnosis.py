@@ -14,18 +14,18 @@ from small import RICH, acting, sessions
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
 from simgap.diagnosis.inference.explain import split
 from simgap.effects.augmented import Augmented
-from simgap.types import Recording
+from simgap.types import Recording, Sessions
 
 
 @cache
 def delayed() -> Diagnosis:
     """1.4 rows of dead time on the base."""
-    return diagnose(SPOT, "spot", *sessions(acting("delay", (1.4,), (0, 1, 2)), RICH))
+    return diagnose(SPOT, "spot", Sessions(*sessions(acting("delay", (1.4,), (0, 1, 2)), RICH)))
 
 
 @cache
 def nothing() -> Diagnosis:
-    return diagnose(SPOT, "spot", *sessions({}, RICH))
+    return diagnose(SPOT, "spot", Sessions(*sessions({}, RICH)))
 
 
 # A planted delay
@@ -161,7 +161,7 @@ def test_where_nothing_is_missing_nothing_is_claimed() -> None:
 def test_a_wrong_parameter_is_told_as_such() -> None:
     phi = PHI.copy()
     phi[0], phi[20] = 0.15, 1.5
-    told = diagnose(SPOT, "spot", *sessions({}, RICH, phi=phi)).statement
+    told = diagnose(SPOT, "spot", Sessions(*sessions({}, RICH, phi=phi))).statement
     assert told["verdict"] == "parameters_only"
     assert told["effects"] == []
     before, after = told["parameters"]["before"], told["parameters"]["after"]
@@ -178,7 +178,7 @@ def test_a_wrong_parameter_is_told_as_such() -> None:
 @cache
 def nameless(law: Callable[[jax.Array], jax.Array]) -> Diagnosis:
     recorded = unheard(law, RICH)
-    return diagnose(SPOT, "spot", recorded[:-1], recorded[-1:])
+    return diagnose(SPOT, "spot", Sessions(recorded[:-1], recorded[-1:]))
 
 
 @pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
