@@ -103,7 +103,7 @@ class Recording(NamedTuple):
 
 
 class Sessions(NamedTuple):
-    """Recordings by what they serve: fitted to, held out to judge by, and a baseline from when all was well (may be none)."""
+    """Recordings by what they serve: fitted to, held out to judge by, and a baseline from before (may be empty)."""
 
     training: Sequence[Recording]
     heldout: Sequence[Recording]
