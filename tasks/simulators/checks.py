@@ -9,7 +9,7 @@ from tasks.simulators.user_code import RAISED, check_tuple, duplicates, has, is_
 
 MEMBERS = ("schema", "parameters", "time_step", "step")
 """What a `StepModel` has."""
-HELP = "docs/simulators.md has a complete example."
+_HELP = "docs/simulators.md has a complete example."
 
 
 def check(simulator: Any, name: str) -> None:
@@ -22,7 +22,7 @@ def check(simulator: Any, name: str) -> None:
     if missing:
         raise ConfigError(
             f"{name}: a simulator must have {', '.join(MEMBERS)}; {type(simulator).__name__} lacks "
-            f"{', '.join(missing)}. Add what is missing: {HELP}"
+            f"{', '.join(missing)}. Add what is missing: {_HELP}"
         )
     members = {m: _member(simulator, m, name) for m in MEMBERS}
     check_schema(members["schema"], name)

@@ -11,6 +11,7 @@ _COMMAND_ROLES = {"velocity": "velocity or force", "force": "velocity or force"}
 
 
 def check_schema(schema: Any, name: str) -> None:
+    """ConfigError that begins with `name` unless it is a schema whose columns can be told apart."""
     if not isinstance(schema, Schema):
         raise ConfigError(
             f"{name}: schema must be a simgap.types.Schema; it is {shown(schema)}. Write "

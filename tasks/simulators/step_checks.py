@@ -23,6 +23,7 @@ class _Trial(NamedTuple):
 
 
 def check_step(simulator: StepModel, name: str) -> None:
+    """ConfigError that begins with `name` unless the step repeats, is finite, and can be traced and differentiated."""
     # What compiles comes last: most mistakes show without.
     trial = _trial(simulator)
     first = _outputs(simulator, trial, name)

@@ -25,6 +25,7 @@ def has(simulator: Any, member: str) -> bool:
 
 
 def check_tuple(values: Any, kind: type, example: str, what: str, name: str) -> None:
+    """ConfigError unless the values are a tuple of that kind; `example`: a member, as one writes it."""
     good = isinstance(values, tuple)
     wrong = [v for v in values if not isinstance(v, kind)] if good else [values]
     if wrong:
@@ -35,15 +36,18 @@ def check_tuple(values: Any, kind: type, example: str, what: str, name: str) -> 
 
 
 def is_finite(value: Any) -> bool:
+    """Whether it is a finite number; a bool is none."""
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def duplicates(names: Iterable[str]) -> list[str]:
+    """The names that are there more than once, each once."""
     names = list(names)
     return [n for n in dict.fromkeys(names) if names.count(n) > 1]
 
 
 def shown(value: Any) -> str:
+    """A value in at most 60 characters, with its type."""
     try:
         text = repr(value)
     except RAISED:  # a user's own
