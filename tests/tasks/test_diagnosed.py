@@ -75,10 +75,10 @@ def asked(recordings: list[Recording], monkeypatch: pytest.MonkeyPatch) -> list[
     """In place of a diagnosis, which takes a minute, a dead time is found; gives the seeds of those that were made."""
     made: list[int] = []
 
-    def explain(simulator, training, heldout, baseline, _rng, say) -> SimpleNamespace:
-        made.append(len(training) + len(heldout))
+    def explain(simulator, used, _rng, say) -> SimpleNamespace:
+        made.append(len(used.training) + len(used.heldout))
         assert simulator == SPOT
-        assert not baseline
+        assert not used.baseline
         say("looking")
         found = late(recordings)
         return SimpleNamespace(
@@ -100,8 +100,8 @@ def find(workspace: Workspace, share: Share, code: str = "c") -> None:
 
 @pytest.mark.parametrize("count", [20, 57, 100, 174])
 def test_a_share_has_its_number_of_transitions(recordings: list[Recording], count: int) -> None:
-    training, heldout = sessions(recordings[:3], Share(count, 0))
-    fitted, judging = (sum(len(r.time_s) - 1 - HISTORY for r in part) for part in (training, heldout))
+    used = sessions(recordings[:3], Share(count, 0))
+    fitted, judging = (sum(len(r.time_s) - 1 - HISTORY for r in part) for part in (used.training, used.heldout))
     assert fitted == round(0.75 * count)
     assert count - fitted - HISTORY - 1 <= judging <= count - fitted
 
