@@ -8,7 +8,7 @@ from small import problem, sessions
 from simgap.diagnosis.likelihood.problem import start
 from simgap.diagnosis.likelihood.segments import RUN_IN
 from simgap.diagnosis.validation import black_box
-from simgap.diagnosis.validation.forecast import forecast, windows
+from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
 
 HEIGHT = 8
 """Of the hand, which no frame turns."""
@@ -22,7 +22,7 @@ def test_a_black_box_adds_to_what_is_foretold_from_the_filters_own_estimate() ->
     assert pieces is not None
     silent = black_box.silent(of.augmented.layout)
     lifting = silent._replace(weights=silent.weights.at[0, HEIGHT].set(0.01))
-    without, with_it = (forecast(of.augmented, of.scales, v, pieces, box) for box in (silent, lifting))
+    without, with_it = (forecast(of, Contestant(v, box), pieces) for box in (silent, lifting))
     added = with_it - without
     np.testing.assert_allclose(added[:, :, HEIGHT], np.tile([0.01, 0.02, 0.03], (len(added), 1)), atol=1e-5)
     np.testing.assert_allclose(np.delete(added, HEIGHT, axis=2), 0, atol=1e-5)
@@ -37,7 +37,7 @@ def test_a_black_box_says_of_an_innovation_what_it_adds_to_the_forecast_of_that_
     pieces = windows(training, 1 / 15, 1, 10**6)  # the first rows of each session, with which its first chunk begins
     assert pieces is not None
     silent = black_box.silent(of.augmented.layout)
-    without, with_it = (forecast(of.augmented, of.scales, v, pieces, b)[:, 0] for b in (silent, box))
+    without, with_it = (forecast(of, Contestant(v, b), pieces)[:, 0] for b in (silent, box))
     firsts = np.unique(of.chunks.session, return_index=True)[1]
     said = black_box.predicted(of, v, box)[firsts, RUN_IN]
     assert np.abs(said).max() > 1e-3
