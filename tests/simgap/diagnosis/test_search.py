@@ -110,7 +110,7 @@ def test_nothing_is_claimed_where_nothing_is_planted(seed: int, noise: float) ->
     found = explain(*sessions({}, seed, noise))
     assert not found.members
     assert not found.scattered
-    assert found.when is None
+    assert not found.supports
     assert found.rounds[0].screening.p_value > LEVEL
     assert not np.asarray(found.fit.v.theta).any()
 
