@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are called without a flow here
 os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"  # at its end a process would wait for a server that is gone
@@ -19,6 +20,9 @@ os.environ.pop("MLFLOW_TRACKING_URI", None)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
 
 import flows  # noqa: F401  # settles the environment before any library reads it
+
+settings.register_profile("simgap", deadline=None)  # how long an example takes depends on what else runs
+settings.load_profile("simgap")
 
 
 def free_port() -> int:

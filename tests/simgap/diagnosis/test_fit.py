@@ -6,22 +6,24 @@ import numpy as np
 import pytest
 from planted import PHI, SCALES, SPOT, theta
 from scipy import stats
-from small import KEYS, acting, problem, sessions
+from small import KEYS, RICH, acting, problem, sessions
 
 from examples.drive import PARAMETERS, SCHEMA
 from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.hypotheses.support import When, opened
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.gauss_newton import hold, lowest, optimise, refine
 from simgap.diagnosis.inference.model import Model, decorrelated
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Group, Problem, evaluate, start, trials, whitening
+from simgap.diagnosis.likelihood.problem import Group, Problem, evaluate, start, trials, value_of, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
+from simgap.effects.regime import Regime, features
 from simgap.types import DivergenceError, Parameter, Recording, Schema, Sessions
 
 
@@ -139,6 +141,20 @@ def test_columns_are_derivatives_of_the_decorrelated_innovations() -> None:
     moved = Variables(*(a + np.tensordot(along.astype(np.float32), d, 1) for a, d in zip(v, free, strict=True)))
     change, expected = trials(of, [moved])[0] - e, np.tensordot(along, columns, 1)
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(change)
+
+
+def test_two_effects_that_act_in_two_regimes_are_fitted_at_the_same_time() -> None:
+    names = [f.name for f in features(SPOT.layout)]
+    far, turning = Regime(names.index("reach"), 1.0, 0.8), Regime(names.index("base |yaw rate|"), 1.0, 0.3)
+    weak, dragged = acting("gain", (-0.35,), (4,)), acting("viscous_drag", (0.35,), (1,))
+    of = problem(sessions({}, RICH, during=weak, regime=far, there=dragged, its_regime=turning)[0])
+    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [When(regime=far), When(regime=turning)]))
+    of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
+    groups = (group("gain", (4,))._replace(support=1), group("viscous_drag", (1,))._replace(support=2))
+    fit, _ = optimise(of, evaluate(of, start(of), groups))
+    assert [value_of(fit.v, g) for g in groups] == pytest.approx([-0.35, 0.35], rel=0.15)
+    one, _ = optimise(of, evaluate(of, start(of), groups[:1]))
+    assert fit.loglik > one.loglik + 50
 
 
 # Noise

@@ -229,25 +229,6 @@ def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, 
     assert acts.delta.any()
 
 
-def test_two_effects_that_act_in_two_regimes_at_the_same_time_are_found_with_both() -> None:
-    names = [f.name for f in features(SPOT.layout)]
-    far, turning = Regime(names.index("reach"), 1.0, 0.8), Regime(names.index("base |yaw rate|"), 1.0, 0.3)
-    late, dragged = acting("gain", (-0.35,), (4,)), acting("viscous_drag", (0.35,), (1,))
-    found = explain(*sessions({}, RICH, during=late, regime=far, there=dragged, its_regime=turning))
-    by_key = {m.candidate.effect.key: m for m in found.members}
-    assert set(by_key) == {"gain", "viscous_drag"}
-    for key, regime, constant in (("gain", far, -0.35), ("viscous_drag", turning, 0.35)):
-        member = by_key[key]
-        assert member.when in found.supports
-        assert member.when is not None
-        assert member.when.regime is not None
-        truth, said = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, member.when.regime))
-        assert (truth & said).sum() > 0.85 * (truth | said).sum()
-        assert value_of(found.fit.v, member.candidate.groups[0]) == pytest.approx(constant, rel=0.2)
-    acts = found.acting(found.fit)
-    assert len(acts.regimes) == len(acts.delta) == 2
-
-
 @pytest.mark.parametrize("reach", [1.1, 1.13])
 def test_a_limit_that_is_seldom_reached_is_found(reach: float) -> None:
     """It acts in a few blocks of rows only, and between the starts of the search."""
