@@ -15,7 +15,7 @@ Job = Callable[[], object]
 
 
 class Case(NamedTuple):
-    """A job that trains so many models for `--steps` steps each."""
+    """A job that trains `models` models, for `--steps` steps each."""
 
     job: Job
     models: int

@@ -6,10 +6,11 @@ LEAST_SHARE = 0.03
 """A further effect must gain this share of what those before it gained in the same outputs: less may be no more than
 the difference between their laws and the robot's."""
 MOST_EFFECTS = 4
+"""Different effects that a diagnosis adds at most: a search that goes on fits what the laws found do not."""
 MOST_SUPPORTS = 3
-"""Regimes, times or stretches in which effects may act at the same time."""
+"""Regimes, times or stretches in which effects may act at the same time; each costs a whole search."""
 MOST_SITES = 6
-"""An effect that acts at several sites with several constants takes a step for each."""
+"""Steps of a search at most: an effect at several sites with several constants takes a step for each."""
 RIVAL = 0.03
 """Share of what a member was expected to gain when it was chosen that a rival must have been expected to gain."""
 LIKELY = 0.3
@@ -21,6 +22,7 @@ BLOCK = 20
 FEW = 10
 """Blocks that are too few to tell a variance."""
 LEAST_SESSIONS = 5
+"""Sessions from which on a session is the unit of a bootstrap; of fewer, runs of rows are."""
 MARGIN = 0.005
 """Share of its error by which a model must be worse to be called so: any two differ by chance in the fourth digit."""
 LARGE = 0.1
@@ -31,7 +33,8 @@ WELL_DETERMINED = 5.0
 POWER = 0.9
 """Chance with which an effect of the reported size would have been found."""
 CREDIBLE = 0.95
+"""Probability that a credible set holds together."""
 OWED = 8.0
-"""Gain [nats] that an effect's beginning and end owe: two numbers, the best of some hundreds tried,"""
+"""Gain [nats] that an onset or a stretch must add: two numbers, the best of some hundreds tried."""
 OWED_BY_REGIMES = 16.0
-"""and a regime, the best of thousands."""
+"""Gain [nats] that a regime must add: the best of thousands tried."""

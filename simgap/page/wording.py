@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from simgap.diagnosis.report.wording import NO_COMMANDS, title
+from simgap.diagnosis.report.wording import NO_COMMANDS, listed, title
 from simgap.page.marks import MODELS
 from simgap.page.numbers import fixed, interval, known, percent
 
@@ -90,7 +90,7 @@ def headline(statement: Values) -> str:
 def _listed(names: Sequence[str]) -> str:
     if any(" or " in n for n in names):
         return "; ".join(names)
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    return listed(names)
 
 
 def more_is_missing(statement: Values) -> bool:

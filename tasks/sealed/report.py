@@ -34,7 +34,7 @@ def markdown(
     lines += [f"| {s.name} | {_number(s.value)} | {_interval(s)} | {s.n} | {s.goal} |" for s in scores]
     lines += ["", "![power](power.png)", "", "![confusion](confusion.png)", "", "![reliability](reliability.png)", ""]
     lines += ["## By effect and strength", "", *_by_effect(rows), ""]
-    lines += ["## Beside it, on the same cases", "", *_rows(baselines, tuple(baselines[0]) if baselines else ()), ""]
+    lines += ["## Other methods on the same cases", "", *_rows(baselines, tuple(baselines[0]) if baselines else ()), ""]
     lines += [
         "## Every case",
         "",

@@ -28,6 +28,7 @@ class When(NamedTuple):
 
 
 NEVER = When(to_s=0.0)
+"""Open in no row: what acts in one session of training is closed in held-out ones."""
 
 
 def told(layout: Layout, when: When) -> str:

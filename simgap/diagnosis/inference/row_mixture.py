@@ -105,8 +105,7 @@ def interval(
     inverse = np.linalg.pinv(score.T @ score, hermitian=True)
     block = np.add.reduceat(score, starts, axis=0)
     along = inverse @ gradient
-    sd = np.sqrt(max(float(gradient @ along), float(((block @ along) ** 2).sum())))
-    return [float(value * np.exp(-Z95 * sd)), float(value * np.exp(Z95 * sd))]
+    return _on_log_scale(value, np.sqrt(max(float(gradient @ along), float(((block @ along) ** 2).sum()))))
 
 
 def burst_interval(
@@ -134,7 +133,11 @@ def burst_interval(
         shares[:, 1:] = _falling(shares[:, 1:])
     values = np.log([constant(mixture._replace(shares=s)) for s in shares])
     sd = np.sqrt((len(starts) - 1) / len(starts) * ((values - values.mean()) ** 2).sum())
-    value = constant(mixture)
+    return _on_log_scale(constant(mixture), sd)
+
+
+def _on_log_scale(value: float, sd: float) -> list[float]:
+    """95 % interval of a positive value whose logarithm has this standard deviation."""
     return [float(value * np.exp(-Z95 * sd)), float(value * np.exp(Z95 * sd))]
 
 
