@@ -8,7 +8,7 @@ MLFLOW_PORT ?= 5000
 
 .PHONY: setup run test lint lock up down clean
 
-setup: .venv/.installed
+setup: .venv/.installed  ## flows and tasks are in no wheel: the .pth file makes the folder of the project importable
 
 .venv/.installed: requirements.lock pyproject.toml
 	@command -v python3.11 >/dev/null || { echo "Python 3.11 is needed, as python3.11 on the PATH."; exit 1; }
@@ -16,6 +16,7 @@ setup: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
 	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes requirements.lock
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --editable .
+	@echo "$(CURDIR)" > "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/simgap-pipeline.pth"
 	@touch $@
 
 run: setup  ## the main job in a small size; SOURCE=spot RECORDINGS=folder for recordings of one's own
@@ -40,7 +41,7 @@ down:  ## stop what `make up` started
 
 lock:  ## renew requirements.lock from pyproject.toml
 	$(BIN)/uv pip compile --quiet --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-		--group dev pyproject.toml -o requirements.lock
+		--extra pipeline --group dev pyproject.toml -o requirements.lock
 
 clean:  ## remove what runs left, but for reports and DVC's cache
 	rm -rf sweeps .prefect mlruns mlflow.db*

@@ -18,9 +18,9 @@ from pathlib import Path
 from jaxtyping import Array, Float
 
 from flows.errors import guarded
+from simgap.formats.recordings import read_recordings, write_recording
 from simgap.simulators.spot import SCHEMA, Spot, induced_velocity
 from simgap.types import Recording
-from tasks.files.recordings import read_recordings, write_recording
 
 
 @dataclass(frozen=True)

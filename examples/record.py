@@ -19,8 +19,8 @@ from jaxtyping import Float
 
 from examples.car import CAR
 from examples.drive import DRIVE
+from simgap.formats.recordings import write_recording
 from simgap.types import Recording, StepModel
-from tasks.files.recordings import write_recording
 
 FINE = 0.001
 """Time step of the integration [s]."""

@@ -6,19 +6,16 @@ Importing this package settles what libraries read from the environment at their
 import os
 
 from flows import running
+from simgap.cli import environment
 
 _DEFAULTS = {
-    # Several cells train side by side, a thread each: no library may spread one cell's work over the cores.
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
-    "OPENBLAS_NUM_THREADS": "1",
+    **environment.NUMERICS,
+    "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
     # Without a running server, a flow starts one of its own; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_LOGGING_LEVEL": "WARNING",
     # That its server is gone is told by a warning; this would tell it again for every event, with all that is in it.
     "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
-    # All is compiled once for all processes, what takes less than a second too: there are dozens of these in each.
-    "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
-    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     # DVC says what is stale; Prefect caches nothing.
     "PREFECT_TASKS_DEFAULT_NO_CACHE": "true",
     # No telemetry.
@@ -31,8 +28,7 @@ _DEFAULTS = {
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "4",
     "DVC_NO_ANALYTICS": "1",
 }
-for _name, _value in _DEFAULTS.items():
-    os.environ.setdefault(_name, _value)
+environment.settle(_DEFAULTS)
 os.environ[running.OWNER] = str(os.getpid())
 if "PREFECT_API_URL" not in os.environ:
     if "PREFECT_HOME" not in os.environ:

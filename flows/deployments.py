@@ -15,10 +15,10 @@ from flows import track as track_flow
 from flows.locks import alone
 from flows.start import PARAMS
 from flows.sweep import prepare
+from simgap.formats.documents import read_json
 from simgap.types import SimgapError
 from tasks import artifacts, diagnose, forms, score, sweep
 from tasks import track as track_tasks
-from tasks.files.documents import read_json
 from tasks.forms import Models, Noises, Policies, Recordings, SampleSizes, Seeds
 from tasks.params import Params, load_params
 from tasks.ranges import Seed

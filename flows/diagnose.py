@@ -12,14 +12,16 @@ from typing import NamedTuple
 from prefect import flow
 
 from flows import provenance
-from flows.locks import alone
+from simgap.cli import progress
+from simgap.cli.diagnose import summary
+from simgap.cli.locks import alone
+from simgap.formats.folders import make_folder
+from simgap.formats.purposes import Folders
+from simgap.loading.load import load
 from simgap.simulators.spot import Spot
 from simgap.types import StepModel
-from tasks import diagnose, progress
-from tasks.diagnose import Folders
-from tasks.files.folders import make_folder
+from tasks import diagnose
 from tasks.params import Params
-from tasks.simulators import loading
 from tasks.tracking import links
 from tasks.tracking.runs import diagnosis_run
 from tasks.workspace import Workspace
@@ -42,12 +44,12 @@ def run(source: str, params: Params, root: Path) -> None:
 def diagnose_folder(
     recordings: Path, simulator: str, baseline: Path | None, heldout: Path | None, out: Path, seed: int = 0
 ) -> str:
-    """Say what a simulator, given as `tasks.simulators.loading.load` takes it, leaves out of a folder's sessions.
+    """Say what a simulator, given as `simgap.loading.load` takes it, leaves out of a folder's sessions.
 
     Returns the run's id in MLflow.
     """
     folders = Folders(recordings, heldout, baseline)
-    asked = _Asked(recordings.resolve().name, simulator, loading.load(simulator), folders, seed)
+    asked = _Asked(recordings.resolve().name, simulator, load(simulator), folders, seed)
     sessions = _read(asked)
     with alone(out):
         return _diagnose(asked, sessions, out, provenance.origin())
@@ -84,10 +86,5 @@ def _diagnose(asked: _Asked, sessions: diagnose.Sessions, out: Path, tags: dict[
         seconds = time.perf_counter() - start
         diagnose.write(out, found, simulator.schema)
         diagnose.log(tracked, out, found, simulator.schema, seconds)
-    shown = [("page", diagnose.PAGE), ("data", diagnose.STATEMENT), ("commands", diagnose.EXPERIMENT)]
-    places = "\n".join(f"{what:10}{out / file}" for what, file in shown if (out / file).exists())
-    progress.say(
-        f"\n{found.statement['statement']}\n\n{places}\n{'MLflow':10}{links.to_run(store, tracked.run_id)}\n"
-        f"({found.statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"
-    )
+    progress.say(f"\n{summary(found.statement, out, seconds)}\n{'MLflow':10}{links.to_run(store, tracked.run_id)}")
     return tracked.run_id

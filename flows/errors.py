@@ -1,68 +1,42 @@
-"""How a command ends: with a message and an exit status, not with a traceback."""
+"""How a command of the pipeline ends: as every command does; it also knows of servers that are gone."""
 
-import os
-import sys
-import tempfile
-import time
-import traceback
+import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from flows import running
-from flows.signals import interruptible
-from simgap.types import SimgapError
-from tasks import progress
+from simgap.cli import errors
 
 
 def guarded(work: Callable[[], Any]) -> None:
-    """Call `work`. What it raises ends the process with a message, not a traceback, and status 1, or 130 for Ctrl-C.
-
-    The traceback of an error that nobody expected is kept in a file that the message names.
-    """
-    progress.quiet_libraries()
+    """Call `work` as `simgap.cli.errors.guarded` does; before it, end what killed commands left."""
+    _quiet_libraries()
     running.end_left_over()
-    try:
-        with interruptible():
-            work()
-    except SimgapError as error:
-        progress.say(f"error: {error}")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        progress.say("stopped")
-        sys.exit(130)
-    except (Exception, SystemExit) as error:  # code of the user's may even exit, with status 0
-        if _is_server_gone(error):
-            progress.say(
-                f"error: Prefect's server does not answer ({error or type(error).__name__}). What is finished is kept. "
-                "Start the server (`make up`), or unset PREFECT_API_URL, and give the same command again."
-            )
-        else:
-            progress.say(_unexpected(error))
-        sys.exit(1)
+    errors.guarded(work, _server_is_gone, [running.LOGS])
 
 
-def _is_server_gone(error: BaseException) -> bool:
+def _server_is_gone(error: BaseException) -> str | None:
     import httpx
 
     # The second is Prefect's own.
-    return isinstance(error, httpx.HTTPError) or str(error).startswith("Failed to reach API")
+    if not (isinstance(error, httpx.HTTPError) or str(error).startswith("Failed to reach API")):
+        return None
+    return (
+        f"Prefect's server does not answer ({error or type(error).__name__}). What is finished is kept. Start the "
+        "server (`make up`), or unset PREFECT_API_URL, and give the same command again."
+    )
 
 
-def _unexpected(error: BaseException) -> str:
-    """What to say of an error that no one foresaw; its traceback goes to a file."""
-    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    text = f"{command}\n\n{''.join(traceback.format_exception(error))}"
-    name = f"error-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.txt"
-    for folder in (running.LOGS, Path(tempfile.gettempdir())):
-        try:
-            folder.mkdir(exist_ok=True)
-            (folder / name).write_text(text)
-        except OSError:
-            continue
-        kept = f"The whole traceback is in {folder / name}: please report this error together with that file."
-        break
-    else:
-        kept = f"It could not be written to a file:\n{text}"
-    (first, *_) = str(error).strip().splitlines() or ["no message"]
-    return f"error: `{command}` ended with an unexpected error, {type(error).__name__}: {first}\n{kept}"
+def _quiet_libraries() -> None:
+    """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks."""
+    for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    # That a server is gone is told once; this would tell it again for every try.
+    logging.getLogger("urllib3").setLevel(logging.ERROR)
+    for name in ("prefect.flow_runs", "prefect.task_runs"):
+        logging.getLogger(name).addFilter(_has_no_traceback)
+
+
+def _has_no_traceback(record: logging.LogRecord) -> bool:
+    # An error is reported once, where the process ends.
+    return not record.exc_info

@@ -11,7 +11,8 @@ from prefect.client.orchestration import get_client
 from prefect.settings import PREFECT_API_URL, temporary_settings
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
-from tasks import artifacts, progress
+from simgap.cli import progress
+from tasks import artifacts
 from tasks.workspace import Cell, Workspace
 
 CLUSTER = "SIMGAP_CLUSTER"

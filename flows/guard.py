@@ -17,6 +17,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 HOSTS = "SIMGAP_HOSTS"
 """Environment variable: the names that a server is reached by, separated by commas."""
+STORE, ARTIFACTS = "SIMGAP_MLFLOW_STORE", "SIMGAP_MLFLOW_ARTIFACTS"
+"""Environment variables: the address of MLflow's database, and the folder of what runs have logged."""
 LOGIN = "SIMGAP_LOGIN"
 """Environment variable: `user:password` that MLflow's server asks for, which has no login of its own."""
 
@@ -32,6 +34,7 @@ def mlflow() -> ASGIApp:
     """What `mlflow server` serves, guarded."""
     from tasks.tracking import links
 
+    os.environ |= links.settings(os.environ[STORE], os.environ[ARTIFACTS])
     return _guarded(links.application(), os.environ.get(LOGIN))
 
 

@@ -11,8 +11,9 @@ from prefect import flow
 
 from flows import provenance
 from flows.fan_out import fan_out
+from simgap.cli import progress
 from simgap.types import SimgapError
-from tasks import fingerprint, policy, progress
+from tasks import fingerprint, policy
 from tasks.params import Params
 from tasks.tracking import links
 from tasks.tracking.runs import grid_run

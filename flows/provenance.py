@@ -7,11 +7,11 @@ from pathlib import Path
 from prefect.runtime import flow_run
 
 from flows import running
+from simgap.formats.yaml_files import read_yaml
 from simgap.types import ConfigError
 from tasks.tracking.runs import close_stale_runs
 from tasks.tracking.store import Store, open_store
 from tasks.workspace import Workspace
-from tasks.yaml_files import read_yaml
 
 EXPERIMENT = "model-validation"
 

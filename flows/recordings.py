@@ -9,8 +9,9 @@ from pathlib import Path
 
 from prefect import flow
 
-from tasks import progress, recordings
-from tasks.files.folders import remove_folder
+from simgap.cli import progress
+from simgap.formats.folders import remove_folder
+from tasks import recordings
 from tasks.params import Params, VirtualParams
 from tasks.workspace import Workspace
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from prefect import flow
 
-from tasks import progress, report, score
+from simgap.cli import progress
+from tasks import report, score
 from tasks.params import Params
 from tasks.workspace import Workspace
 

@@ -12,8 +12,8 @@ from typing import Any
 from prefect import flow
 
 from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
+from simgap.cli import progress
 from simgap.types import SimgapError
-from tasks import progress
 from tasks.diagnose import PAGE
 from tasks.params import Params
 from tasks.workspace import Workspace

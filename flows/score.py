@@ -11,7 +11,8 @@ from pathlib import Path
 from prefect import flow
 
 from flows import provenance
-from tasks import progress, score, train
+from simgap.cli import progress
+from tasks import score, train
 from tasks.params import Params
 from tasks.workspace import Workspace
 

@@ -15,10 +15,10 @@ from flows import deployments, sweep
 from flows.errors import guarded
 from flows.running import LOGS
 from flows.start import PARAMS
+from simgap.formats.documents import write_text
+from simgap.formats.yaml_files import read_yaml
 from tasks import forms
-from tasks.files.documents import write_text
 from tasks.params import load_params
-from tasks.yaml_files import read_yaml
 
 READY = LOGS / "deployments.ready"
 """There while the deployments are served."""

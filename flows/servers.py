@@ -25,10 +25,10 @@ import psutil
 from flows import guard, running
 from flows.errors import guarded
 from flows.running import LOGS, pid_file
+from simgap.cli import progress
+from simgap.formats.documents import write_bytes
+from simgap.formats.folders import keep_private, make_folder
 from simgap.types import SimgapError
-from tasks import progress
-from tasks.files.documents import write_bytes
-from tasks.files.folders import keep_private, make_folder
 
 DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
@@ -111,7 +111,6 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: s
     """In the order in which they need each other."""
     here, names = _HERE if host == "0.0.0.0" else host, _names(host)
     pages, tracking = f"http://{here}:{prefect_port}", f"http://{here}:{mlflow_port}"
-    binaries = Path(sys.executable).parent
     prefect = {
         "PREFECT_HOME": os.environ.get("PREFECT_HOME", os.path.abspath(".prefect")),
         **running.client(pages, login),
@@ -128,14 +127,14 @@ def _servers(host: str, prefect_port: int, mlflow_port: int, runs: int, login: s
         "MLFLOW_SERVER_ALLOWED_HOSTS": ",".join(f"{name}:*" for name in names),
         "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": ",".join(f"http://{name}:*" for name in names),
         guard.HOSTS: ",".join(names),
+        guard.STORE: f"sqlite:///{DATABASE.absolute()}",
+        guard.ARTIFACTS: str(Path("mlruns").absolute()),
         **({guard.LOGIN: login} if login else {}),
     }
     serve = [sys.executable, "-m", "flows.serve", "--runs", str(runs)]
-    api = [sys.executable, "-m", "uvicorn", "--factory", "flows.guard:prefect", "--host", host,
-           "--port", str(prefect_port), "--log-level", "warning"]  # fmt: skip
-    ui = [str(binaries / "mlflow"), "server", "--app-name", "simgap", "--host", host, "--port", str(mlflow_port),
-          "--workers", "1", "--backend-store-uri", f"sqlite:///{DATABASE.absolute()}",
-          "--artifacts-destination", str(Path("mlruns").absolute())]  # fmt: skip
+    uvicorn = [sys.executable, "-m", "uvicorn", "--factory", "--host", host, "--log-level", "warning"]
+    api = [*uvicorn, "--port", str(prefect_port), "flows.guard:prefect"]
+    ui = [*uvicorn, "--port", str(mlflow_port), "flows.guard:mlflow"]
     return [
         Server("prefect", api, prefect, pages, lambda: _answers(f"{pages}/api/health"), prefect_port),
         Server("mlflow", ui, mlflow, tracking, lambda: _answers(f"{tracking}/health"), mlflow_port),

@@ -13,10 +13,10 @@ from typing import Any, NoReturn
 from flows import running
 from flows.errors import guarded
 from flows.locks import alone, held
+from simgap.formats.atomic import remove_unfinished
+from simgap.formats.folders import keep_private
+from simgap.formats.sessions import session_files
 from simgap.types import ConfigError
-from tasks.files.atomic import remove_unfinished
-from tasks.files.folders import keep_private
-from tasks.sessions import session_files
 from tasks.workspace import Workspace
 
 PARAMS = Path("params.yaml")
@@ -98,7 +98,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 def read_overrides(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What the files given as `--overrides` hold."""
-    from tasks.yaml_files import read_yaml
+    from simgap.formats.yaml_files import read_yaml
 
     found = {path: read_yaml(path) for path in arguments.overrides}
     for path, values in found.items():

@@ -1,5 +1,10 @@
 """A sweep: models, N, seeds and hyperparameters of one's choice, on recordings of one's choice; in `sweeps/<name>/`."""
 
+from flows.start_sweep import main
+
+if __name__ == "__main__":
+    main()  # before the imports, which take seconds
+
 import time
 from pathlib import Path
 from typing import Any
@@ -13,9 +18,10 @@ from flows.fan_out import Place
 from flows.locks import alone
 from flows.start import PARAMS
 from flows.train import told, train_cells
+from simgap.cli import progress
+from simgap.formats.documents import write_json
 from simgap.types import SimgapError
-from tasks import artifacts, forms, progress, score, sweep
-from tasks.files.documents import write_json
+from tasks import artifacts, forms, score, sweep
 from tasks.forms import Hyperparameters, Models, Noises, Recordings, SampleSizes, Seeds
 from tasks.params import Params, load_params
 from tasks.tracking import links

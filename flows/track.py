@@ -12,10 +12,11 @@ from prefect import flow
 
 from flows import policy as policy_flow
 from flows import provenance
+from simgap.cli import progress
+from simgap.formats.folders import remove_folder
 from simgap.policies.follow import Run
 from simgap.types import SimgapError
-from tasks import policy, progress, track, track_report
-from tasks.files.folders import remove_folder
+from tasks import policy, track, track_report
 from tasks.files.models import load_policy
 from tasks.params import Params
 from tasks.tracking.runs import grid_run

@@ -13,9 +13,10 @@ from prefect import flow
 
 from flows import provenance
 from flows.fan_out import Place, fan_out
+from simgap.cli import progress
+from simgap.formats.folders import remove_file
 from simgap.types import SimgapError
-from tasks import diagnosed, fingerprint, progress, train
-from tasks.files.folders import remove_file
+from tasks import diagnosed, fingerprint, train
 from tasks.params import Params
 from tasks.tracking import links
 from tasks.tracking.runs import Run, grid_run

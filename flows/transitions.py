@@ -9,7 +9,8 @@ from pathlib import Path
 
 from prefect import flow
 
-from tasks import progress, transitions
+from simgap.cli import progress
+from tasks import transitions
 from tasks.params import Params
 from tasks.workspace import SPLITS, Workspace
 

@@ -15,7 +15,7 @@ from prefect.artifacts import (
     update_progress_artifact,
 )
 
-from tasks import progress
+from simgap.cli import progress
 
 
 class Progress:

@@ -4,7 +4,6 @@ As `tasks.pyfunc`: MLflow keeps this module's name and calls `_load_pyfunc`; ren
 A simulator of a user's own must be importable where it is loaded.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
@@ -13,17 +12,16 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
+from simgap.formats.diagnoses import read_simulator
+from simgap.loading.load import load
 from simgap.recordings import HISTORY
 from simgap.simulators.augmented import AugmentedSimulator
-from simgap.simulators.spot import Spot
+from simgap.simulators.refitted import nominal
 from simgap.types import Schema
-from tasks.files.arrays import load_arrays
-from tasks.files.effects import pop_acting, pop_scales
-from tasks.simulators import loading
 
 
 class Origin(TypedDict):
-    """The simulator's name, as `loading.load` takes it."""
+    """The simulator's name, as `simgap.loading.load` takes it."""
 
     simulator: str
 
@@ -60,10 +58,5 @@ class NextStates:
 
 def _load_pyfunc(path: str, origin: Origin) -> NextStates:
     """Called by MLflow, by this name."""
-    arrays = load_arrays(Path(path))
-    scales, simulator = pop_scales(arrays), loading.load(origin["simulator"])
-    if isinstance(simulator, Spot):
-        simulator = replace(simulator, time_step=scales.time_step)
-    # To take a step it need not be more than a StepModel.
-    whole = AugmentedSimulator.of(simulator, pop_acting(arrays), scales)  # type: ignore[arg-type]
-    return NextStates(whole, arrays["phi"])
+    simulator = read_simulator(Path(path), load(origin["simulator"]))
+    return NextStates(simulator, nominal(simulator))

@@ -7,17 +7,17 @@ import numpy as np
 from prefect import task
 
 from simgap.diagnosis.inference.explain import explain
+from simgap.formats.arrays import load_arrays, save_arrays
+from simgap.formats.documents import read_json, write_json
+from simgap.formats.effects import augmented_arrays, augmented_spot
+from simgap.formats.folders import remove_file
+from simgap.formats.recordings import digest, read_recordings
 from simgap.recordings import HISTORY, divide
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Recording, Sessions
 from tasks.cells import finished
-from tasks.files.arrays import load_arrays, save_arrays
-from tasks.files.documents import read_json, write_json
-from tasks.files.effects import augmented_arrays, augmented_spot
-from tasks.files.folders import remove_file
-from tasks.files.recordings import read_recordings
-from tasks.fingerprint import of_diagnosis, of_recordings
+from tasks.fingerprint import of_diagnosis
 from tasks.workspace import Cell, Share, Workspace
 
 FITTED = 0.75
@@ -72,7 +72,7 @@ def find(
     if errors:
         raise errors[0]
     used = sessions(recordings, share)
-    mark = of_diagnosis(share, of_recordings([*used.training, *used.heldout]), time_step, code)
+    mark = of_diagnosis(share, digest([*used.training, *used.heldout]), time_step, code)
     arrays, record = workspace.augmented(share), workspace.effects(share)
     if finished(arrays, record, mark):
         say("diagnosed before")

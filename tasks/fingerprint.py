@@ -9,10 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 import simgap
-from simgap.types import Recording
 from tasks.params import PolicyParams, TrainParams
 from tasks.workspace import Cell, Share
 
@@ -78,16 +75,6 @@ def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) ->
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})
 
 
-def of_recordings(recordings: Sequence[Recording]) -> str:
-    """Identifies sessions by their numbers."""
-    mark = hashlib.sha256()
-    for recording in recordings:
-        for values in (recording.time_s, recording.state, recording.command):
-            mark.update(f"{values.shape}".encode())
-            mark.update(np.ascontiguousarray(values, np.float64).tobytes())
-    return mark.hexdigest()[:16]
-
-
 def of_policy(cell: Cell, model: str, data_digest: str, params: PolicyParams, code: str) -> str:
     """Identifies what a policy depends on; `model`: the fingerprint of the model it learns in."""
     relevant = {"model": model, "data": data_digest, "params": relevant_policy_params(params), "code": code}
@@ -120,19 +107,19 @@ def diagnosing_code() -> str:
 
 def modules_of(roots: Sequence[str]) -> list[Path]:
     """The modules of `simgap` that these run, by their imports."""
+    package = Path(simgap.__file__).parent
+    names = {package / "__init__.py", package / "types.py"}  # what things are called, not what they compute
     found: dict[Path, None] = {}
     queue = list(roots)
     while queue:
         path = _source(queue.pop())
-        if path is None or path in found:
+        if path is None or path in found or path in names:
             continue
         found[path] = None
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 queue += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    package = Path(simgap.__file__).parent
-    # What things are called, not what they compute.
-    return sorted(found.keys() - {package / "__init__.py", package / "types.py"})
+    return sorted(found)
 
 
 def code_digest(roots: Sequence[str]) -> str:

@@ -10,13 +10,14 @@ from itertools import product
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from simgap import fsvgd, identify, priors
+from simgap.formats.validation import check
 from simgap.types import ConfigError
 from tasks import names
 from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
-from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, Name, SampleSize, Seed, bounded, explained
+from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, Name, SampleSize, Seed, bounded
 
 SWEEPS = Path("sweeps")
 """Where whatever is not `dvc repro` writes; git and DVC leave it alone."""
@@ -195,14 +196,6 @@ def _listed(key: str, values: str) -> list[Any]:
     if key == "hidden_layer_sizes":  # 64x64,128x128
         return [value.split("x") for value in values.split(",")]
     return values.split(",")
-
-
-def check(form: type[BaseModel], values: Any) -> Any:
-    """The values as that form; ConfigError names every one that is wrong."""
-    try:
-        return form.model_validate(values)
-    except ValidationError as error:
-        raise ConfigError(explained(error)) from None
 
 
 def folder(name: str) -> Path:

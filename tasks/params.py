@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, Field, ValidationError
 
 from simgap import fsvgd, identify, priors
+from simgap.formats.validation import explained
+from simgap.formats.yaml_files import read_yaml
 from simgap.policies import environment, follow, learn, references, sac
 from simgap.types import ConfigError
 from tasks.ranges import (
@@ -30,9 +32,7 @@ from tasks.ranges import (
     Strength,
     Strict,
     Workers,
-    explained,
 )
-from tasks.yaml_files import read_yaml
 
 ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
 NoiseName = Literal["gaussian", "student_t"]

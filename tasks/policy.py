@@ -7,6 +7,9 @@ import jax
 import jax.numpy as jnp
 from prefect import task
 
+from simgap.formats.arrays import load_arrays, save_arrays
+from simgap.formats.documents import read_json, write_json
+from simgap.formats.folders import remove_file
 from simgap.policies import learn
 from simgap.policies.actor import Actor
 from simgap.policies.environment import LearntSpot, box
@@ -16,10 +19,7 @@ from simgap.simulators.spot import SCHEMA
 from simgap.types import Report
 from tasks import transitions
 from tasks.cells import Curve, finished, may_pass
-from tasks.files.arrays import load_arrays, save_arrays
 from tasks.files.digests import fingerprint_of
-from tasks.files.documents import read_json, write_json
-from tasks.files.folders import remove_file
 from tasks.files.models import load_model, save_policy
 from tasks.fingerprint import configuration_of_policy, of_policy, relevant_policy_params
 from tasks.params import PolicyParams

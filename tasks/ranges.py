@@ -4,7 +4,6 @@ The bounds keep out what cannot be meant; inside them a value may still be a poo
 """
 
 import dataclasses
-import reprlib
 from collections.abc import Mapping
 from typing import Annotated, Any, get_args, get_origin
 
@@ -14,7 +13,6 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
-    ValidationError,
     create_model,
     model_validator,
 )
@@ -179,13 +177,3 @@ class Ranged:
             handler.generate_schema(block),
             serialization=core_schema.plain_serializer_function_ser_schema(dataclasses.asdict),
         )
-
-
-def explained(error: ValidationError) -> str:
-    """A line for every value that is wrong: its key, what it must be, what it is."""
-    lines = []
-    for wrong in error.errors(include_url=False):
-        came = f"; it is {reprlib.repr(wrong['input'])}" if isinstance(wrong["input"], str | int | float) else ""
-        message = wrong["msg"].removeprefix("Value error, ")
-        lines.append(f"  {'.'.join(map(str, wrong['loc']))}: {message}{came}")
-    return f"{len(lines)} values are wrong:\n" + "\n".join(lines)

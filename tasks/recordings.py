@@ -3,11 +3,11 @@
 import jax
 from prefect import task
 
+from simgap.formats.recordings import read_recordings, write_recording
 from simgap.robots.operator import OperatorConfig, record
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, RecordingError
-from tasks.files.recordings import read_recordings, write_recording
 from tasks.params import FolderParams, VirtualParams
 from tasks.workspace import SPLITS, Workspace
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from prefect import task
 
+from simgap.formats.documents import write_json, write_table, write_text
 from tasks import plots
-from tasks.files.documents import write_json, write_table, write_text
 from tasks.plots import LABELS
 from tasks.workspace import DIAGNOSED, Workspace
 

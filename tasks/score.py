@@ -6,12 +6,12 @@ from typing import Any
 from prefect import task
 
 from simgap import scores
+from simgap.formats.documents import read_json, write_json
+from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Recording, Transitions
 from tasks import transitions
-from tasks.files.documents import read_json, write_json
 from tasks.files.models import load_model
-from tasks.files.recordings import read_recordings
 from tasks.params import ScoreParams
 from tasks.tracking.runs import Run, latest_run
 from tasks.tracking.store import Store

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from prefect import task
 from pydantic import BaseModel
 
+from simgap.formats.documents import read_json, write_table
 from tasks import forms, report, score, train
-from tasks.files.documents import read_json, write_table
 from tasks.params import Params
 from tasks.tracking.runs import Run, latest_run
 from tasks.tracking.store import Store

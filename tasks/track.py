@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float
 from prefect import task
 
+from simgap.formats.arrays import save_arrays
+from simgap.formats.documents import read_json
 from simgap.policies import follow, references
 from simgap.policies.proportional import Proportional
 from simgap.robots.virtual_robot import VirtualRobot
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.types import Policy, Robot, SimgapError
-from tasks.files.arrays import save_arrays
-from tasks.files.documents import read_json
 from tasks.params import TrackParams
 from tasks.track_report import Row, is_learnt, path_of
 from tasks.tracking.runs import Run, latest_run

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from prefect import task
 
+from simgap.formats.documents import read_json, write_json, write_table, write_text
 from simgap.policies.follow import Run
 from tasks import track_plots as plots
-from tasks.files.documents import read_json, write_json, write_table, write_text
 from tasks.params import PolicyParams
 from tasks.plots import LABELS
 from tasks.report import compare

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from prefect import task
 
 from simgap import learn
+from simgap.formats.documents import read_json, write_json
+from simgap.formats.folders import remove_file
 from simgap.models import Model
 from simgap.noise import FAMILIES
 from simgap.recordings import HISTORY, draw
@@ -17,8 +19,6 @@ from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Report, Schema, Simulator, Transitions
 from tasks import diagnosed, transitions
 from tasks.cells import Curve, finished, may_pass
-from tasks.files.documents import read_json, write_json
-from tasks.files.folders import remove_file
 from tasks.files.models import save_model
 from tasks.fingerprint import Codes, configuration, fingerprint, relevant_params
 from tasks.params import Params, TrainParams

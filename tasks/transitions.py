@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 from prefect import task
 
+from simgap.formats.arrays import load_arrays, save_arrays
+from simgap.formats.recordings import read_recordings
 from simgap.recordings import to_transitions
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Transitions
-from tasks.files.arrays import load_arrays, save_arrays
-from tasks.files.recordings import read_recordings
 from tasks.workspace import SPLITS, Workspace
 
 

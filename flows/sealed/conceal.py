@@ -10,7 +10,8 @@ from pathlib import Path
 
 from prefect import flow
 
-from tasks import fingerprint, progress
+from simgap.cli import progress
+from tasks import fingerprint
 from tasks.params import SealedParams
 from tasks.sealed import conceal
 from tasks.sealed.workspace import SealedWorkspace

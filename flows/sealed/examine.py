@@ -12,9 +12,10 @@ from pathlib import Path
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from simgap.cli import progress
+from simgap.formats.documents import read_json
 from simgap.types import SimgapError
-from tasks import fingerprint, progress
-from tasks.files.documents import read_json
+from tasks import fingerprint
 from tasks.params import SealedParams
 from tasks.sealed import examine
 from tasks.sealed.workspace import SealedWorkspace

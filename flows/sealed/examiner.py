@@ -13,9 +13,9 @@ from typing import Any
 
 import flows  # noqa: F401  # settles the environment before JAX is imported
 from simgap.diagnosis.diagnose import diagnose
+from simgap.formats.documents import write_json
 from simgap.simulators.spot import Spot
 from tasks.diagnose import Folders, read
-from tasks.files.documents import write_json
 from tasks.sealed.lock import lock
 from tasks.sealed.workspace import AFTER, BEFORE
 

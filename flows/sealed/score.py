@@ -11,7 +11,7 @@ from pathlib import Path
 from prefect import flow
 
 from flows import provenance
-from tasks import progress
+from simgap.cli import progress
 from tasks.params import SealedParams
 from tasks.sealed import score
 from tasks.sealed.workspace import SealedWorkspace

@@ -25,8 +25,8 @@ def main(stage: str, description: str | None) -> NoReturn:
 
     def work() -> None:
         check_files(PARAMS, *arguments.overrides)
+        from simgap.formats.atomic import remove_unfinished
         from tasks import fingerprint
-        from tasks.files.atomic import remove_unfinished
         from tasks.params import load_sealed
 
         params = load_sealed(PARAMS, *read_overrides(arguments))

@@ -5,9 +5,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from simgap.formats.arrays import load_arrays
+from simgap.formats.documents import no_such_file, read_json
 from simgap.types import SimgapError
-from tasks.files.arrays import load_arrays
-from tasks.files.documents import no_such_file, read_json
 
 
 def digest_of(paths: Sequence[Path]) -> str:

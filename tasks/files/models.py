@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Array
 
+from simgap.formats.arrays import load_arrays, save_arrays
+from simgap.formats.effects import augmented_arrays, augmented_spot
 from simgap.models import BNN, FittedSimulator, FittedSpot, Model
 from simgap.policies.actor import Actor
 from simgap.recordings import Normalisation
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
 from simgap.types import SimgapError
-from tasks.files.arrays import load_arrays, save_arrays
-from tasks.files.effects import augmented_arrays, augmented_spot
 
 _KIND_SHOWN = 40  # characters of a file's own text in a message
 

@@ -12,11 +12,11 @@ from prefect import task
 from concealed import seal, sessions, spikes, suite
 from concealed.case import Recipe, conceal
 from concealed.catalogue import FORMS
+from simgap.formats.documents import write_bytes, write_json
+from simgap.formats.folders import remove_file, remove_folder
+from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks.files.documents import write_bytes, write_json
-from tasks.files.folders import remove_file, remove_folder
-from tasks.files.recordings import read_recordings
 from tasks.params import ConcealParams, FolderParams
 from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 

@@ -12,10 +12,10 @@ from typing import Any
 
 from prefect import task
 
+from simgap.formats.documents import read_json, write_json
+from simgap.formats.folders import remove_folder
 from simgap.types import Report, SimgapError
 from tasks.files.digests import digest_of
-from tasks.files.documents import read_json, write_json
-from tasks.files.folders import remove_folder
 from tasks.params import ExamineParams
 from tasks.sealed.workspace import SealedWorkspace
 

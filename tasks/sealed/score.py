@@ -11,9 +11,9 @@ from concealed import seal, sessions
 from concealed.case import features, noise_of
 from concealed.plain import STATE, observer, refit, robot, whitened
 from concealed.strength import UNLIKE, UNSURE
+from simgap.formats.atomic import replacing_folder
+from simgap.formats.documents import read_bytes, read_json, write_json, write_table, write_text
 from simgap.types import SimgapError
-from tasks.files.atomic import replacing_folder
-from tasks.files.documents import read_bytes, read_json, write_json, write_table, write_text
 from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, metrics, report
 from tasks.sealed.examine import code_of

@@ -48,6 +48,20 @@ def to_comparison(store: Store, view: str, query: str, columns: Sequence[str]) -
     return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={view}"
 
 
+def settings(store: str, artifacts: str) -> dict[str, str]:
+    """Environment in which `application` serves a store and the folder of what runs have logged, as `mlflow server`
+    sets it for its own."""
+    from mlflow.server import constants
+
+    return {
+        constants.BACKEND_STORE_URI_ENV_VAR: store,
+        constants.REGISTRY_STORE_URI_ENV_VAR: store,
+        constants.SERVE_ARTIFACTS_ENV_VAR: "true",
+        constants.ARTIFACTS_DESTINATION_ENV_VAR: artifacts,
+        constants.ARTIFACT_ROOT_ENV_VAR: "mlflow-artifacts:/",
+    }
+
+
 def application() -> Any:
     """MLflow's pages and interface, as an ASGI application."""
     from mlflow.server.fastapi_app import app  # seconds, and a store in the environment

@@ -14,8 +14,8 @@ from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from sqlalchemy import Engine, event
 from sqlalchemy.exc import SQLAlchemyError
 
+from simgap.formats.folders import keep_private, make_folder
 from simgap.types import SimgapError
-from tasks.files.folders import keep_private, make_folder
 
 ERROR_LENGTH = 1000
 """Characters of an error that are shown and kept."""

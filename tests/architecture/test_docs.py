@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 
 from flows import deployments, sweep
-from flows.command import parser
+from simgap.cli.main import parser
 from tasks.params import load_params
 
 ROOT = Path(__file__).parents[2]
@@ -68,9 +68,9 @@ COVERED = {
     r"dvc exp (run|show).*": ("flows/test_dvc.py", '"dvc", "exp", "run"'),
     r"dvc metrics diff": ("flows/test_dvc.py", '"dvc", "metrics", "diff"'),
     r"prefect deployment run sweep/.*": ("flows/test_operate.py", '"prefect", "deployment", "run", "sweep/'),
-    r"simgap sweep .*": ("flows/test_dvc.py", 'run("simgap", "sweep"'),
-    r"simgap diagnose .*": ("flows/test_diagnose.py", '"diagnose", "rail"'),
-    r"simgap (import|check) .*": ("tasks/test_importing.py", '["import", "walk.mcap"'),
+    r"(SIMGAP_CLUSTER=.* )?python -m flows\.sweep .*": ("flows/test_dvc.py", '"flows.sweep", "--name"'),
+    r"simgap diagnose .*": ("simgap/cli/test_diagnose_command.py", '"diagnose", "rail"'),
+    r"simgap (import|check) .*": ("simgap/formats/test_importing.py", '["import", "walk.mcap"'),
     r"python -m examples\.record .*": ("examples/test_examples.py", "examples.record"),
     r"python -m examples\.knockouts .*": ("examples/test_examples.py", '"examples.knockouts"'),
     r"python -m flows\.(policy|track) virtual": ("flows/test_dvc.py", 'run("dvc", "repro")'),

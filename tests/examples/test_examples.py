@@ -17,11 +17,11 @@ from examples.car import CAR, Car
 from examples.drive import DRIVE, Drive
 from examples.knockouts import WITHOUT_INDUCED_VELOCITY, late
 from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive_session, record
+from simgap.formats.recordings import read_recordings, write_recording
+from simgap.loading.checks import check
+from simgap.loading.load import load
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording
-from tasks.files.recordings import read_recordings, write_recording
-from tasks.simulators.checks import check
-from tasks.simulators.loading import load
 
 ROOT = Path(__file__).parents[2]
 QUIET_DRIVE = DriveConfig(position_noise=0.0, velocity_noise=0.0)

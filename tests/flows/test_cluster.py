@@ -14,7 +14,7 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from test_pipeline import ROOT, TINY, children, prepare
 
 from flows import train
-from tasks.files.documents import read_json
+from simgap.formats.documents import read_json
 from tasks.params import load_params
 from tasks.train import grid
 from tasks.workspace import Workspace

@@ -56,8 +56,8 @@ MISTAKES: list[tuple[list[str], int, str]] = [
     ([SIMGAP, "import", "nowhere", "--mapping", "mapping.yaml", "--out", "o"], 1, "nowhere: there is no such bag"),
     ([SIMGAP, "import", "empty", "--mapping", "mapping.yaml", "--out", "o"], 1, "empty: holds no MCAP file"),
     ([SIMGAP, "import", "rail", "--mapping", "mapping.yml", "--out", "o"], 1, "mapping.yml: there is no such file"),
-    ([SIMGAP, "sweep"], 1, "params.yaml: there is no such file here"),
-    ([SIMGAP, "sweep", "--sample-sizes", "many"], 2, "invalid int value: 'many'"),
+    ([sys.executable, "-m", "flows.sweep"], 1, "params.yaml: there is no such file here"),
+    ([sys.executable, "-m", "flows.sweep", "--sample-sizes", "many"], 2, "invalid int value: 'many'"),
     *(
         ([sys.executable, "-m", f"flows.{stage}", *arguments], status, words)
         for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
@@ -131,7 +131,7 @@ def started(command: list[str], folder: Path) -> subprocess.Popen[str]:
 
 def test_ctrl_c_ends_the_trial_of_an_endless_step(folder: Path) -> None:
     with started([SIMGAP, "check", "rail", "--simulator", "endless:Mine"], folder) as process:
-        _until(process, lambda: b"tasks.simulators.trial" in _children(process))
+        _until(process, lambda: b"simgap.loading.trial" in _children(process))
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "stopped\n")

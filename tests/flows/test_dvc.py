@@ -61,7 +61,7 @@ def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path, run: 
     assert "up to date" in run("dvc", "repro")
 
     before = run("dvc", "status", "--json")
-    run("simgap", "sweep", "--name", "more", "--seeds", "1", "--try", "sim_model.weight_decay=0,0.01")
+    run("python", "-m", "flows.sweep", "--name", "more", "--seeds", "1", "--try", "sim_model.weight_decay=0,0.01")
     assert len((copy / "sweeps" / "more" / "results.csv").read_text().splitlines()) == 1 + 2
     assert run("dvc", "status", "--json") == before
 

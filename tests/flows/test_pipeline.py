@@ -22,9 +22,9 @@ from mlflow import MlflowClient
 from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from simgap import scores
+from simgap.formats.documents import read_json, write_json
 from simgap.simulators.spot import SCHEMA
 from tasks import recordings, transitions
-from tasks.files.documents import read_json, write_json
 from tasks.files.models import load_model
 from tasks.params import Params, VirtualParams, load_params
 from tasks.policy import input_columns as input_columns_of_policies
@@ -61,7 +61,7 @@ CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
 DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
 
 
-SWEEP = ("flows.command", "sweep", "virtual", "--name", "w")
+SWEEP = ("flows.sweep", "virtual", "--name", "w")
 
 
 def start(

@@ -14,9 +14,9 @@ from mlflow import MlflowClient
 
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.inference.explain import split
+from simgap.formats.documents import read_json
+from simgap.loading.load import find, make
 from simgap.types import Recording, Sessions
-from tasks.files.documents import read_json
-from tasks.simulators.loading import find, make
 
 SIMULATOR = """
 import jax.numpy as jnp

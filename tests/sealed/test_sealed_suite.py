@@ -14,9 +14,9 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from concealed import seal
 from flows.sealed import conceal, examine, score
+from simgap.formats.atomic import remove_unfinished
+from simgap.formats.documents import read_json, write_json, write_text
 from simgap.types import SimgapError
-from tasks.files.atomic import remove_unfinished
-from tasks.files.documents import read_json, write_json, write_text
 from tasks.params import SealedParams, load_sealed
 from tasks.sealed import baselines
 from tasks.sealed.conceal import seed_of

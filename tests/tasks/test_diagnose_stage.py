@@ -16,14 +16,13 @@ from examples.record import record
 from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 from simgap.effects.effect import Scales
 from simgap.effects.regime import everywhere
+from simgap.formats.arrays import load_arrays
+from simgap.formats.atomic import remove_unfinished
+from simgap.formats.documents import read_json
+from simgap.formats.recordings import digest, read_recordings, write_recording
 from simgap.types import Recording, RecordingError
 from tasks import diagnose
 from tasks.diagnose import Folders
-from tasks.files.arrays import load_arrays
-from tasks.files.atomic import remove_unfinished
-from tasks.files.documents import read_json
-from tasks.files.recordings import read_recordings, write_recording
-from tasks.fingerprint import of_recordings
 
 STATEMENT: dict[str, Any] = {
     "schema": 1, "simulator": "drive", "verdict": "missing_physics", "statement": "Friction of 2.5 N [sic] is missing.",
@@ -99,8 +98,8 @@ def test_unusable_sessions_are_told_and_left_out(tmp_path: Path) -> None:
 
 def test_a_digest_identifies_numbers_not_names(folders: dict[str, Path]) -> None:
     (a, b), _ = read_recordings(folders["today"], DRIVE.schema, DRIVE.time_step)
-    assert of_recordings([a]) == of_recordings([a._replace(name="b")])
-    assert len({of_recordings(rs) for rs in ([a], [b], [a, b], [b, a])}) == 4
+    assert digest([a]) == digest([a._replace(name="b")])
+    assert len({digest(rs) for rs in ([a], [b], [a, b], [b, a])}) == 4
 
 
 def test_what_is_written_reads_back_and_an_old_experiment_goes(tmp_path: Path) -> None:

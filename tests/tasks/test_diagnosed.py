@@ -11,6 +11,8 @@ from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import everywhere
+from simgap.formats.documents import read_json, write_json
+from simgap.formats.recordings import write_recording
 from simgap.models import FittedSimulator
 from simgap.recordings import HISTORY
 from simgap.simulators import sample_parameters
@@ -19,9 +21,7 @@ from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Recording
 from tasks import diagnosed, score, train, transitions
 from tasks.diagnosed import sessions
-from tasks.files.documents import read_json, write_json
 from tasks.files.models import save_model
-from tasks.files.recordings import write_recording
 from tasks.params import load_params
 from tasks.workspace import Cell, Share, Workspace
 

@@ -24,6 +24,7 @@ import numpy as np
 import psutil
 import pytest
 from conftest import free_port
+from given import fitted_spot
 from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from prefect import flow
 from prefect.settings import PREFECT_API_URL, temporary_settings
@@ -32,15 +33,16 @@ from sqlalchemy import text
 from flows import running
 from flows.errors import guarded
 from flows.locks import alone, held
+from simgap.cli import locks
+from simgap.formats.arrays import load_arrays, save_arrays
+from simgap.formats.atomic import remove_unfinished
+from simgap.formats.documents import write_json
+from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
 from tasks import artifacts
-from tasks.files.arrays import load_arrays, save_arrays
-from tasks.files.atomic import remove_unfinished
 from tasks.files.digests import fingerprint_of
-from tasks.files.documents import write_json
 from tasks.files.models import save_model
-from tasks.files.recordings import read_recordings
 from tasks.tracking.models import log_model
 from tasks.tracking.runs import cell_run, close_stale_runs, grid_run
 from tasks.tracking.store import Store, StoreError, open_store
@@ -78,7 +80,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from tasks.files.arrays import save_arrays
+from simgap.formats.arrays import save_arrays
 os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 save_arrays(Path(sys.argv[1]), {"a": np.zeros(9)})
 """
@@ -380,7 +382,7 @@ def test_one_name_is_one_run_at_a_time(tmp_path: Path) -> None:
     mine, source = tmp_path / "mine", Workspace(tmp_path / "mine", "virtual").lock
     holder = f"lock: held by process {os.getpid()} on .* since .*{re.escape(shlex.join(sys.orig_argv))}"
     with alone(mine, "virtual"):
-        for taken in (lambda: alone(mine), lambda: alone(mine, "spot"), lambda: held(source)):
+        for taken in (lambda: locks.alone(mine), lambda: alone(mine, "spot"), lambda: held(source)):
             with pytest.raises(SimgapError, match=holder), taken():
                 pass
         with alone(tmp_path / "other", "virtual"), held(Workspace(mine, "spot").lock):
@@ -409,7 +411,7 @@ def test_a_lock_is_free_again_when_its_holder_is_killed(tmp_path: Path) -> None:
                               stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # fmt: skip
     assert holder.stdout is not None
     assert holder.stdout.readline() == "held\n"
-    with pytest.raises(SimgapError, match=f"held by process {holder.pid} on "), alone(tmp_path):
+    with pytest.raises(SimgapError, match=f"held by process {holder.pid} on "), locks.alone(tmp_path):
         pass
     holder.kill()
     holder.wait()
@@ -419,14 +421,12 @@ def test_a_lock_is_free_again_when_its_holder_is_killed(tmp_path: Path) -> None:
 
 def test_a_lock_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
     (tmp_path / ".lock").mkdir()
-    with pytest.raises(SimgapError, match=r"\.lock: cannot be opened \(Is a directory\)"), alone(tmp_path):
+    with pytest.raises(SimgapError, match=r"\.lock: cannot be opened \(Is a directory\)"), locks.alone(tmp_path):
         pass
 
 
 def test_the_best_is_registered_again_and_again(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = open_store(root, "grid")
-    from test_files import fitted_spot
-
     save_model(tmp_path / "model.npz", fitted_spot())
     for sweep in ("one", "other"):
         with cell_run(store, "none", "cell", {}) as run:

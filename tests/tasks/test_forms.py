@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from simgap.formats.validation import check
 from simgap.types import ConfigError
 from tasks import forms, sweep
 from tasks.fingerprint import configuration
@@ -68,7 +69,7 @@ def test_a_folder_for_a_virtual_robot_and_an_unknown_source_are_refused() -> Non
 
 def test_the_defaults_are_those_of_params_and_fill_the_form() -> None:
     params = load_params(PARAMS)
-    form = forms.check(forms.Hyperparameters, forms.defaults(params, "virtual")["hyperparameters"])
+    form = check(forms.Hyperparameters, forms.defaults(params, "virtual")["hyperparameters"])
     (only,) = forms.variants(form)
     assert load_params(PARAMS, {"train": forms.nested(only)}) == params
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 from test_params import ROOT
 
+from simgap.formats.folders import remove_file, remove_folder
 from simgap.types import ConfigError, SimgapError
 from tasks import forms, names, ranges
-from tasks.files.folders import remove_file, remove_folder
 from tasks.params import load_params
 from tasks.sealed.workspace import SealedWorkspace
 from tasks.workspace import Workspace

@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simgap.formats.validation import check
 from simgap.types import ConfigError
 from tasks import forms
 from tasks.params import load_params, load_sealed
@@ -157,7 +158,7 @@ def test_the_form_admits_what_the_file_admits(block: str, data: st.DataObject) -
         return True
 
     in_file = admitted(lambda: load_params(ROOT / "params.yaml", {"train": {block: {key: value}}}))
-    assert admitted(lambda: forms.check(forms.Hyperparameters, {block: {key: [value]}})) == in_file
+    assert admitted(lambda: check(forms.Hyperparameters, {block: {key: [value]}})) == in_file
 
 
 def test_parameters_survive_being_written_and_read(tmp_path: Path) -> None:

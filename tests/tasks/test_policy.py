@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from simgap.formats.arrays import save_arrays
+from simgap.formats.documents import read_json, write_json, write_text
 from simgap.models import FittedSpot
 from simgap.policies.actor import Actor
 from simgap.simulators.spot import SCHEMA
 from simgap.types import ConfigError, SimgapError
 from tasks import policy, policy_pyfunc
-from tasks.files.arrays import save_arrays
-from tasks.files.documents import read_json, write_json, write_text
 from tasks.files.models import load_policy, save_model, save_policy
 from tasks.fingerprint import POLICY, TRAINING, code_digest, modules_of, of_policy
 from tasks.params import PolicyParams, load_params

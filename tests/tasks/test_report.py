@@ -7,8 +7,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from simgap.formats.documents import read_json
 from tasks import report, score
-from tasks.files.documents import read_json
 from tasks.workspace import Workspace
 
 

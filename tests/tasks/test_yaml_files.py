@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_params import ROOT
 
+from simgap.formats.yaml_files import read_yaml
 from simgap.types import ConfigError
 from tasks.params import load_params
-from tasks.yaml_files import read_yaml
 
 CONFLICT = "a:\n<<<<<<< HEAD\n  b: 1\n=======\n  b: 2\n>>>>>>> other\n"
 LAUGHS = "a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]\n"

@@ -1,8 +1,6 @@
 """The page of a diagnosis, without pictures: its headline, its names, and that no text becomes markup."""
 
 import re
-import tomllib
-from fnmatch import fnmatch
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -165,11 +163,3 @@ def test_colours_run_from_none_to_the_top_of_the_scale() -> None:
     assert [marks.shade(s) for s in (-1.0, 0.0, 0.5, 1.0, 2.0)] == [
         *(2 * marks.EXCESS[:1]), marks.EXCESS[2], *(2 * marks.EXCESS[-1:])
     ]  # fmt: skip
-
-
-def test_a_wheel_contains_the_template_and_the_stylesheet() -> None:
-    settings = tomllib.loads((PAGE.parents[1] / "pyproject.toml").read_text())["tool"]["setuptools"]
-    assert "simgap.page" in settings["packages"]
-    others = [path.name for path in PAGE.iterdir() if path.is_file() and path.suffix != ".py"]
-    assert {"page.html.jinja", "style.css"} <= set(others)
-    assert all(any(fnmatch(name, p) for p in settings["package-data"]["simgap.page"]) for name in others)

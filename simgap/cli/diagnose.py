@@ -1,0 +1,42 @@
+"""`simgap diagnose`: what a simulator leaves out of a folder's recordings."""
+
+import json
+import time
+from pathlib import Path
+
+from simgap.cli import progress
+from simgap.cli.locks import alone
+from simgap.diagnosis.diagnose import diagnose
+from simgap.formats import diagnoses, purposes
+from simgap.formats.documents import plain
+from simgap.formats.folders import make_folder
+from simgap.formats.purposes import Folders
+from simgap.loading.load import load
+from simgap.result import Result
+
+
+def diagnose_folder(folders: Folders, simulator: str, out: Path, seed: int, as_json: bool) -> None:
+    """Diagnose, write to `out`, and print the statement and where the page is; or the statement as JSON."""
+    used = load(simulator)
+    sessions, errors = purposes.read(folders, used)
+    for error in errors:
+        progress.say(f"left out: {error}")
+    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
+    progress.say(f"diagnosis of {simulator} on {folders.recordings.resolve().name}: {counts} sessions")
+    make_folder(out)  # before the work, not after it
+    with alone(out):
+        start = time.perf_counter()
+        with progress.steps("diagnosing") as step:
+            found = diagnose(used, simulator, sessions, seed, step)
+        Result(used, found, tuple(errors)).save(out)
+    seconds = time.perf_counter() - start
+    progress.say(f"\n{summary(found.statement, out, seconds)}")
+    if as_json:
+        print(json.dumps(plain(found.statement), indent=1, sort_keys=True, allow_nan=False))
+
+
+def summary(statement: dict, out: Path, seconds: float) -> str:
+    """The statement, where its files are, and how long it took."""
+    shown = [("page", diagnoses.PAGE), ("data", diagnoses.STATEMENT), ("commands", diagnoses.EXPERIMENT)]
+    places = "\n".join(f"{what:10}{out / file}" for what, file in shown if (out / file).exists())
+    return f"{statement['statement']}\n\n{places}\n({statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"

@@ -1,0 +1,26 @@
+"""What libraries read from the environment at their import, settled before any of them is imported."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+NUMERICS = {
+    # Threads of the diagnosis and of the training compute side by side: no library may spread one over the cores.
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "OPENBLAS_NUM_THREADS": "1",
+    # All is compiled once for all processes, what takes less than a second too: there are dozens of these in each.
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+}
+"""Of a process that computes."""
+
+
+def settle(values: Mapping[str, str]) -> None:
+    """Set what the user has not set."""
+    for name, value in values.items():
+        os.environ.setdefault(name, value)
+
+
+def cache() -> Path:
+    """Where the command keeps compiled code, outside of the current folder."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    return (Path(root) if root else Path.home() / ".cache") / "simgap" / "jax"

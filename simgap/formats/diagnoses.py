@@ -1,0 +1,77 @@
+"""What a diagnosis leaves in its folder, and how its simulator is loaded from there."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
+from simgap.effects.effect import Scales
+from simgap.effects.regime import Acting
+from simgap.formats.arrays import load_arrays, save_arrays
+from simgap.formats.documents import read_json, write_json, write_table, write_text
+from simgap.formats.effects import pop_acting, pop_scales, scale_arrays
+from simgap.formats.folders import remove_file
+from simgap.simulators.augmented import AugmentedSimulator
+from simgap.simulators.refitted import Refitted
+from simgap.simulators.spot import Spot
+from simgap.types import Schema, SimgapError, StepModel
+
+STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
+"""The files; the experiment only where there is one to make."""
+
+
+def write(folder: Path, found: Diagnosis, page: str, schema: Schema) -> None:
+    """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for.
+
+    The statement goes first and comes last: where it is, all else is of the same diagnosis.
+    """
+    for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
+        remove_file(folder / name, folder)
+    save_arrays(folder / MODEL, _arrays(found.model))
+    if found.experiment is not None:
+        columns = ("time_s", *(f.name for f in schema.command))
+        rows = np.column_stack(found.experiment)
+        write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
+    write_text(folder / PAGE, page)
+    write_json(folder / STATEMENT, found.statement)
+
+
+def read_statement(folder: Path) -> dict[str, Any]:
+    """What `diagnosis.json` holds; SimgapError where the folder has no diagnosis."""
+    if not (folder / STATEMENT).is_file():
+        raise SimgapError(f"{folder}: holds no {STATEMENT}. Give the folder that `simgap diagnose` wrote to.")
+    return read_json(folder / STATEMENT)
+
+
+def read_simulator(path: Path, simulator: StepModel) -> AugmentedSimulator:
+    """The simulator with the effects and the fitted parameters in `path`, the `augmented.npz` of a diagnosis of it.
+
+    Raises SimgapError where the file is damaged, or is of another simulator.
+    """
+    arrays = load_arrays(path)
+    try:
+        scales, acting, phi = pop_scales(arrays), pop_acting(arrays), arrays["phi"]
+        if isinstance(simulator, Spot):  # whose time step is the recordings'
+            simulator = replace(simulator, time_step=scales.time_step)
+        return corrected(simulator, phi, acting, scales)
+    except (KeyError, ValueError) as error:
+        raise SimgapError(
+            f"{path}: is no diagnosis of this simulator by this version ({error}). Diagnose again."
+        ) from None
+
+
+def corrected(simulator: StepModel, phi: Float[np.ndarray, " p"], acting: Acting, scales: Scales) -> AugmentedSimulator:
+    """A simulator with effects and fitted parameters; ValueError where there are other numbers of them."""
+    refitted: Any = Refitted(simulator, tuple(map(float, phi)))  # a Simulator where the other is one
+    if len(refitted.nominal) != len(simulator.parameters):
+        raise ValueError(f"it has {len(refitted.nominal)} parameters, the simulator {len(simulator.parameters)}")
+    return AugmentedSimulator.of(refitted, acting, scales)
+
+
+def _arrays(model: AugmentedModel) -> dict[str, np.ndarray]:
+    constants = model._asdict()
+    scales = scale_arrays(constants.pop("scales"))
+    return {name: np.asarray(array) for name, array in constants.items()} | scales

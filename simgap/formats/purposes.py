@@ -1,0 +1,74 @@
+"""Recordings by what they serve in a diagnosis: read from folders, or given; checked against each other."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from simgap.derived import derived, sentence
+from simgap.diagnosis.inference.explain import split
+from simgap.formats.recordings import digest, read_recordings
+from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
+
+
+class Folders(NamedTuple):
+    """Recordings to diagnose; sessions to judge by and sessions from when all was well, where they lie apart."""
+
+    recordings: Path
+    heldout: Path | None = None
+    baseline: Path | None = None
+
+
+class Given(NamedTuple):
+    """Sessions that come from one place, and what the place is called: in messages, and before names that coincide."""
+
+    sessions: Sequence[Recording]
+    place: str
+    label: str
+
+
+def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
+    """The sessions, and what was wrong with those left out; without a folder held out, some sessions are.
+
+    Raises RecordingError as `arranged` does, and when a folder has no usable session.
+    """
+    errors: list[str] = []
+
+    def sessions(folder: Path | None) -> Given | None:
+        if folder is None:
+            return None
+        found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
+        errors.extend(str(error) for error in bad)
+        return Given(found, str(folder), folder.resolve().name)
+
+    recordings = sessions(folders.recordings)
+    assert recordings is not None
+    return arranged(simulator.schema, recordings, sessions(folders.heldout), sessions(folders.baseline)), errors
+
+
+def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline: Given | None) -> Sessions:
+    """Sessions by their purpose; where none are held out, some of `recordings` are.
+
+    Raises RecordingError when a velocity is a difference of its position, or when a session serves two purposes.
+    """
+    for given in (recordings, heldout, baseline):
+        if given and (differences := derived(schema, given.sessions)):
+            raise RecordingError("\n".join(f"{given.place}: column {sentence(d)}" for d in differences))
+    if heldout:
+        training, judges = list(recordings.sessions), _apart(heldout, recordings.sessions)
+    else:
+        training, judges = split(recordings.sessions)
+    return Sessions(training, judges, _apart(baseline, [*training, *judges]) if baseline else [])
+
+
+def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:
+    """Sessions that are none of the others; where names coincide, those given take their label before theirs."""
+    seen = {digest([r]): r.name for r in others}
+    for r in given.sessions:
+        if same := seen.get(digest([r])):
+            raise RecordingError(
+                f"{given.place}: the session {r.name} is the session {same} of another folder; a session must serve "
+                "one purpose: to be diagnosed, to judge by, or as baseline. Put it in one of the folders only."
+            )
+    if {r.name for r in given.sessions} & {r.name for r in others}:
+        return [r._replace(name=f"{given.label}/{r.name}") for r in given.sessions]
+    return list(given.sessions)

@@ -1,0 +1,28 @@
+"""What a person wrote, as a typed form: every value that is wrong is named."""
+
+import reprlib
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from simgap.types import ConfigError
+
+Form = TypeVar("Form", bound=BaseModel)
+
+
+def check(form: type[Form], values: Any) -> Form:
+    """The values as that form; ConfigError names every one that is wrong."""
+    try:
+        return form.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(explained(error)) from None
+
+
+def explained(error: ValidationError) -> str:
+    """A line for every value that is wrong: its key, what it must be, what it is."""
+    lines = []
+    for wrong in error.errors(include_url=False):
+        came = f"; it is {reprlib.repr(wrong['input'])}" if isinstance(wrong["input"], str | int | float) else ""
+        message = wrong["msg"].removeprefix("Value error, ")
+        lines.append(f"  {'.'.join(map(str, wrong['loc']))}: {message}{came}")
+    return f"{len(lines)} values are wrong:\n" + "\n".join(lines)

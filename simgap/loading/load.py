@@ -1,0 +1,92 @@
+"""Loads the simulator that a text names."""
+
+import importlib
+import importlib.util
+import sys
+from types import FunctionType, ModuleType
+from typing import Any, cast
+
+from simgap.loading import names, trial
+from simgap.loading.names import BUILT_IN
+from simgap.loading.user_code import RAISED, has, reason
+from simgap.simulators.spot import Spot
+from simgap.types import ConfigError, StepModel
+
+
+def load(spec: str) -> StepModel:
+    """The simulator that `spec` names: a built-in one, or `package.module:name`, an object or what makes one.
+
+    `name` may be an instance, or a class or function of that module that gives one when called without arguments. The
+    module must be importable as it stands. Raises ConfigError when there is no such simulator, when it fails `check`,
+    or when its code ends its process or does not end.
+    """
+    if spec in BUILT_IN:
+        return Spot()
+    trial.check(spec)
+    return cast(StepModel, make(find(spec), spec))
+
+
+def find(spec: str) -> Any:
+    """What `package.module:name` names, as it stands there."""
+    module, name = names.place(spec)
+    try:
+        found = _imported(module)
+    except ImportError as error:
+        raise ConfigError(
+            f"{spec}: the module {module} must be importable; importing it gave {reason(error)}. Install what it needs "
+            "into this environment."
+        ) from None
+    except RAISED as error:
+        raise ConfigError(
+            f"{spec}: the module {module} must import without an error; importing it gave {reason(error)}. Correct the "
+            "module, and keep what a script does below `if __name__ == '__main__':`."
+        ) from None
+    if hasattr(found, name):
+        return getattr(found, name)
+    there = [n for n, value in vars(found).items() if not n.startswith("_") and has(value, "step")]
+    raise ConfigError(
+        f"{spec}: the module must have the object {name}; it has not. Correct the name behind the colon (objects with "
+        f"a step are {', '.join(there) or 'none'})."
+    )
+
+
+def _imported(module: str) -> ModuleType:
+    """The module; the user's own where a library's has its name, under another name: the library keeps its place."""
+    top, dot, rest = module.partition(".")
+    own = names.users_own(top)
+    if own is None:
+        return importlib.import_module(module)
+    alias = f"own_{top}"
+    if alias not in sys.modules:
+        found = importlib.util.spec_from_file_location(
+            alias, own.origin, submodule_search_locations=own.submodule_search_locations
+        )
+        assert found is not None  # it has a loader
+        assert found.loader is not None
+        sys.modules[alias] = importlib.util.module_from_spec(found)
+        try:
+            found.loader.exec_module(sys.modules[alias])
+        except BaseException:
+            del sys.modules[alias]
+            raise
+    return importlib.import_module(f"{alias}{dot}{rest}")
+
+
+def make(found: Any, spec: str) -> Any:
+    """The object itself, or what the class or function gives that its module defines; nothing else is called."""
+    if not isinstance(found, type | FunctionType):
+        return found
+    module, name = names.place(spec)
+    if found.__module__ not in (module, f"own_{module}"):
+        raise ConfigError(
+            f"{spec}: a class or function that makes the simulator must be defined in {module}; this one is of "
+            f"{found.__module__}. Name it there, as {found.__module__}:{found.__name__}, or write "
+            f"`SIMULATOR = {name}()` in {module} and give {module}:SIMULATOR."
+        )
+    try:
+        return found()
+    except RAISED as error:
+        raise ConfigError(
+            f"{spec}: a class or function must give the simulator when called without arguments; it gave "
+            f"{reason(error)}. Give its arguments defaults, or name an object that is made already."
+        ) from None

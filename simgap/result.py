@@ -1,0 +1,130 @@
+"""The result of a diagnosis, for Python and for notebooks."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from simgap.diagnosis.diagnose import Diagnosis
+from simgap.effects.regime import Acting
+from simgap.formats import diagnoses
+from simgap.formats.documents import write_bytes, write_text
+from simgap.formats.folders import make_folder
+from simgap.page import diagnosis as pages
+from simgap.simulators.augmented import AugmentedSimulator
+from simgap.types import ConfigError, StepModel
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect that is missing: its id in the catalogue, what is said of it, the probability of its name, outputs
+    that it shows in, commands that it acts on, and its constants by name, with unit and 95 % interval."""
+
+    id: str
+    statement: str
+    probability: float
+    outputs: tuple[str, ...]
+    channels: tuple[str, ...]
+    constants: dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as SVG; a notebook shows it."""
+
+    svg: bytes
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write it to a file that ends in `.svg`."""
+        write_bytes(Path(path), self.svg)
+
+    def _repr_svg_(self) -> str:
+        return self.svg.decode()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a simulator leaves out of recordings.
+
+    diagnosed: the simulator. found: the diagnosis with the arrays behind its pictures. left_out: why sessions of a
+    folder were not used.
+    """
+
+    diagnosed: StepModel
+    found: Diagnosis
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def statement(self) -> dict[str, Any]:
+        """All that was found, as `diagnosis.json` holds it (docs/diagnosis.md)."""
+        return self.found.statement
+
+    @property
+    def verdict(self) -> str:
+        """`missing_physics`, `parameters_only`, `nothing`, `unexplained` or `inconclusive`."""
+        return self.statement["verdict"]
+
+    @property
+    def effects(self) -> list[Effect]:
+        """The effects that are missing, in the order of the statement."""
+        return [
+            Effect(
+                e["id"], e["statement"], e["probability"], tuple(e["outputs"]), tuple(e["channels"]),
+                {c["name"]: {key: c[key] for key in ("value", "unit", "ci95")} for c in e["constants"]},
+            )
+            for e in self.statement["effects"]
+        ]  # fmt: skip
+
+    @cached_property
+    def simulator(self) -> AugmentedSimulator:
+        """The simulator with these effects, and the fitted parameters as its nominal ones (`simgap.nominal`)."""
+        model = self.found.model
+        acting = Acting(model.theta, model.delta, model.regimes)
+        return diagnoses.corrected(self.diagnosed, model.phi, acting, model.scales)
+
+    @property
+    def experiment(self) -> dict[str, np.ndarray] | None:
+        """Commands that would tell the best explanations apart, by column, `time_s` first; None without any."""
+        if self.found.experiment is None:
+            return None
+        time_s, commands = self.found.experiment
+        names = [f.name for f in self.diagnosed.schema.command]
+        return {"time_s": time_s, **dict(zip(names, commands.T, strict=True))}
+
+    def to_html(self, path: str | PathLike[str] | None = None) -> str:
+        """The page, one self-contained document; also written to `path`, if one is given."""
+        page = pages.page(self.statement, self.found.evidence)
+        if path is not None:
+            write_text(Path(path), page)
+        return page
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `diagnosis.json`, `diagnosis.html`, `augmented.npz`, from which `simgap.load` makes the simulator, and
+        `experiment.csv`, where there is an experiment to make."""
+        make_folder(Path(folder))
+        diagnoses.write(Path(folder), self.found, self.to_html(), self.diagnosed.schema)
+
+    def plot(self, what: Literal["forecasts", "laws", "sessions", "experiment"] = "forecasts") -> list[Picture]:
+        """Pictures of the page: forecasts of held-out sessions against what was measured, the effects' laws over the
+        data, the excess error of every session over time, or the commands of the proposed experiment."""
+        figures = pages.figures(self.statement, self.found.evidence)
+        drawn = {
+            "forecasts": figures.rollouts,
+            "laws": figures.laws,
+            "sessions": [figures.strips] if figures.strips else [],
+            "experiment": [figures.commands] if figures.commands else [],
+        }
+        if what not in drawn:
+            raise ConfigError(f"plot must be one of {', '.join(drawn)}; it is {what!r}.")
+        return [Picture(figure["svg"]) for figure in drawn[what]]
+
+    def __str__(self) -> str:
+        return self.statement["statement"]
+
+    def _repr_html_(self) -> str:
+        # A page has a style of its own, which must not reach the notebook's.
+        return f'<iframe srcdoc="{escape(self.to_html())}" width="100%" height="700" style="border:0"></iframe>'
