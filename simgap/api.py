@@ -84,7 +84,10 @@ def _given(purpose: str, recordings: Recordings, simulator: StepModel, errors: l
         found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
         errors.extend(str(error) for error in bad)
         return Given(found, str(folder), folder.resolve().name)
-    return Given([_session(name, some, simulator.schema) for name, some in _named(recordings)], purpose, purpose)
+    sessions = [_session(name, some, simulator.schema) for name, some in _named(recordings)]
+    if not sessions:
+        raise RecordingError(f"{purpose}: no session is given. Give at least one, as a table or a folder.")
+    return Given(sessions, purpose, purpose)
 
 
 def _named(recordings: Any) -> Iterator[tuple[str, Any]]:
