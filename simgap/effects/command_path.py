@@ -10,6 +10,7 @@ forgotten more of what came early in the row: with v = a v + (1 - a) u over a ro
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -177,7 +178,7 @@ def _fixed(*values: float):
     return lambda scales, site: [[v] for v in values]
 
 
-def _reciprocal(c: float, site: int, scales: Scales) -> float:
+def _reciprocal(c: float, *_: Any) -> float:
     return 1 / c if c else np.inf
 
 
@@ -229,13 +230,13 @@ EFFECTS = (
         _misalignment, "the command frame is turned by {angle} against the assumed one", tie="any",
     ),
     Effect(
-        "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0),), channel_sites,
+        "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0, reciprocal=True),), channel_sites,
         _reciprocals(lambda scales: scales.command, 2.2, 1.7, 1.3, 0.95, 0.8, 0.6, 0.35), _saturation,
         "saturation: commands beyond {limit} have no further effect", tie="same_unit",
     ),
     Effect(
         "rate_limit", "filter",
-        (Constant("limit", "{u}/s", lambda c, site, scales: 1 / (c * scales.time_step) if c else np.inf, 0.0),),
+        (Constant("limit", "{u}/s", lambda c, _, s: _reciprocal(c * s.time_step), 0.0, reciprocal=True),),
         channel_sites,
         _reciprocals(lambda scales: scales.command_step, 16, 10, 6, 3.5, 2.0, 1.2, 0.7, 0.4, 0.2),
         _rate_limit, "commands are followed no faster than {limit}", tie="same_unit",

@@ -85,7 +85,8 @@ class Constant:
     """One constant: name, unit (`{u}`: the site's own unit), and its physical value from the internal one.
 
     `physical(c, index of the site, scales)`. `low`, `high` bound the internal value. `shapes`: it says how the other
-    constants act (from when on) and does nothing by itself. credible(index of the site, scales): a size of the internal
+    constants act (from when on) and does nothing by itself. reciprocal: the internal value is one over a limit, so that
+    the smaller it is the wider the limit. credible(index of the site, scales): a size of the internal
     value beyond which the effect is but a word for something else.
     """
 
@@ -95,6 +96,7 @@ class Constant:
     low: float = -np.inf
     high: float = np.inf
     shapes: bool = False
+    reciprocal: bool = False
     credible: Callable[[int, Scales], float] = lambda site, scales: np.inf
 
 

@@ -12,6 +12,7 @@ import yaml
 
 from flows import deployments, sweep
 from simgap.cli.main import parser
+from simgap.effects import table
 from tasks.params import load_params
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +36,11 @@ def test_every_paper_tag_has_one_form() -> None:
     for path in (ROOT / "simgap").rglob("*.py"):
         for tag in re.findall(r"\[[^\]]*Hoffman[^\]]*\]", path.read_text()):
             assert re.fullmatch(r"\[Hoffman et al\. 2025, [^\]]+\]", " ".join(tag.split())), f"{path}: {tag}"
+
+
+def test_the_vocabulary_in_the_docs_is_the_catalogue() -> None:
+    """Print it anew: python -m simgap.effects.table > docs/effects.md"""
+    assert (ROOT / "docs" / "effects.md").read_text() == table.page()
 
 
 def test_make_targets_of_the_readme_exist() -> None:
@@ -74,6 +80,7 @@ COVERED = {
     r"python -m examples\.record .*": ("examples/test_examples.py", "examples.record"),
     r"python -m examples\.knockouts .*": ("examples/test_examples.py", '"examples.knockouts"'),
     r"python -m flows\.(policy|track) virtual": ("flows/test_dvc.py", 'run("dvc", "repro")'),
+    r"pip install simgap": ("simgap/test_wheel.py", '"pip", "install"'),
     r"python -m benchmarks\..*": ("architecture/test_docs.py", "test_the_benchmarks_are_there"),
     r"SIMGAP_CLUSTER=.*": ("flows/test_cluster.py", "SIMGAP_CLUSTER"),
     r"SIMGAP_PICTURES=.*": ("flows/test_operate.py", "SIMGAP_PICTURES"),

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import nbformat
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nbclient import NotebookClient
 
 from examples.car import CAR, Car
 from examples.drive import DRIVE, Drive
@@ -259,3 +261,17 @@ def test_the_command_line_writes_late_recordings(tmp_path: Path) -> None:
     assert not errors
     np.testing.assert_array_equal(written.command[:, 0], [0.5, 1.0, 1.5, 2.0])
     np.testing.assert_array_equal(written.state[:, 0], [0.0, 0.5, 1.0, 1.5])
+
+
+def test_the_notebook_runs_and_finds_the_friction() -> None:
+    """As a person runs it, in a kernel of its own, from the project's folder."""
+    notebook = nbformat.read(ROOT / "examples" / "diagnosis.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells)  # as it is committed
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": ROOT}}).execute()
+    kinds = {kind for cell in notebook.cells for out in cell.get("outputs", []) for kind in out.get("data", {})}
+    assert {"image/svg+xml", "text/html"} <= kinds
+    printed = "".join(out.get("text", "") for cell in notebook.cells for out in cell.get("outputs", []))
+    assert "coulomb_friction" in printed
+    position, speed = map(float, re.findall(r"comes to rest at \[ *([-\d.e]+) +([-\d.e]+) *\]", printed)[0])
+    assert position > 0
+    assert abs(speed) < 0.05

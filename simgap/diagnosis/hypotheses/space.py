@@ -69,8 +69,8 @@ def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members
     low, high = augmented.bounds
     starts = []
     # Sites that share a constant are searched at the start of the one with the greatest range.
-    lead = max(members, key=lambda s: abs(effect.starts(scales, s)[0][0]) if "limit" not in effect.constants[0].name
-               else -abs(effect.starts(scales, s)[0][0]))  # fmt: skip
+    widest = min if effect.constants[0].reciprocal else max
+    lead = widest(members, key=lambda s: abs(effect.starts(scales, s)[0][0]))
     for start in effect.starts(scales, lead):
         limits = [(low[of[0]], high[of[0]]) for of in entries]
         starts.append(tuple(float(np.clip(c, *limit)) for c, limit in zip(start, limits, strict=True)))

@@ -1,0 +1,41 @@
+"""The catalogue as a page: `python -m simgap.effects.table` prints docs/effects.md."""
+
+from itertools import groupby
+
+from simgap.effects import CATALOGUE
+from simgap.effects.effect import Effect
+
+_PLACES = {
+    "command": "the command, before the step",
+    "filter": "the command, with a memory",
+    "before": "the motion, before the step",
+    "push": "a push on a body",
+    "after": "the motion, after the step",
+    "sensing": "what is measured of the state",
+}
+_HEAD = """# Effects: the vocabulary of the diagnosis
+
+Printed from `simgap.effects.CATALOGUE` by `python -m simgap.effects.table`. Effects on the noise are in
+[Diagnosis](diagnosis.md). `{u}` is the unit of the command, or of the axis, that an effect acts on. A name in braces
+stands for the constant of that name.
+"""
+
+
+def page() -> str:
+    """The page, in Markdown."""
+    lines = [_HEAD]
+    for place, effects in groupby(sorted(CATALOGUE, key=lambda e: list(_PLACES).index(e.place)), lambda e: e.place):
+        lines += [f"## Acts on {_PLACES[place]}\n", "| effect | constants | in words | what may share constants |",
+                  "| --- | --- | --- | --- |", *map(_row, effects), ""]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _row(effect: Effect) -> str:
+    constants = ", ".join(f"{c.name} [{c.unit}]" for c in effect.constants)
+    tie = {"never": "-", "same_unit": "sites of one unit", "any": "all sites"}[effect.tie]
+    says = effect.says + " (during a stretch)" * effect.event
+    return f"| `{effect.key}` | {constants} | {says} | {tie} |"
+
+
+if __name__ == "__main__":
+    print(page(), end="")
