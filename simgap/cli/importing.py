@@ -1,11 +1,12 @@
-"""`simgap import`: bags and tables of one's own robot into recordings."""
+"""`simgap import`: bags, tables and LeRobot data sets of one's own robot into recordings."""
 
 from pathlib import Path
 
 from simgap.cli import progress
 from simgap.cli.locks import alone
 from simgap.formats import sessions
-from simgap.formats.mapping import import_session, read_mapping
+from simgap.formats.importing import import_sessions
+from simgap.formats.mapping import read_mapping
 from simgap.formats.recordings import session_name, session_names
 from simgap.loading.load import load
 from simgap.types import RecordingError
@@ -22,13 +23,15 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
         for path in paths:
             name = session_name(source if path != source else source.parent, path)
             try:
-                rows |= import_session(path, name, mapping, schema, out)
+                written, bad = import_sessions(path, name, mapping, schema, out)
             except RecordingError as error:
-                errors.append(error)
+                written, bad = {}, [error]
+            rows |= written
+            errors += bad
     for error in errors:
         progress.say(f"left out: {error}")
     if not rows:
-        raise RecordingError(f"{source}: none of its {len(paths)} sessions can be used; the reasons are above.")
+        raise RecordingError(f"{source}: none of its sessions can be used; the reasons are above.")
     others = [name for name in session_names(out) if name not in rows]
     if others:
         progress.say(f"warning: {out} holds {', '.join(others)} besides, which this import did not write. Remove what "

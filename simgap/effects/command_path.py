@@ -10,7 +10,6 @@ forgotten more of what came early in the row: with v = a v + (1 - a) u over a ro
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -178,7 +177,7 @@ def _fixed(*values: float):
     return lambda scales, site: [[v] for v in values]
 
 
-def _reciprocal(c: float, *_: Any) -> float:
+def _reciprocal(c: float, *_: object) -> float:
     return 1 / c if c else np.inf
 
 

@@ -37,16 +37,18 @@ def session_files(folder: Path, patterns: Sequence[str] = ("**/*",)) -> list[Pat
 
 
 def sources(folder: Path) -> list[Path]:
-    """The sessions of a folder, or the one that it is: bags and tables, by path."""
-    if is_bag(folder) or folder.suffix.lower() in TABLES:
+    """The bags, tables and LeRobot data sets of a folder, by path; or the one that it is."""
+    if is_bag(folder) or is_lerobot(folder) or folder.suffix.lower() in TABLES:
         return [folder]
     if not folder.is_dir():
         raise RecordingError(f"{folder}: there is no such bag, table or folder. Give the folder of the recordings.")
-    found = [p for p in folder.rglob("*") if p.suffix.lower() in TABLES or is_bag(p)]
-    # What lies in a ROS 2 bag's folder is part of that bag.
-    alone = [p for p in found if not any(is_bag(parent) for parent in p.parents)]
+    found = [p for p in folder.rglob("*") if p.suffix.lower() in TABLES or is_bag(p) or is_lerobot(p)]
+    # What lies in the folder of a ROS 2 bag or of a data set is part of it.
+    alone = [p for p in found if not any(is_bag(parent) or is_lerobot(parent) for parent in p.parents)]
     if not alone:
-        raise RecordingError(f"{folder}: holds no MCAP file, ROS 2 bag, CSV or Parquet file. Give another folder.")
+        raise RecordingError(
+            f"{folder}: holds no MCAP file, ROS 2 bag, LeRobot data set, CSV or Parquet file. Give another folder."
+        )
     return sorted(alone)
 
 
@@ -60,3 +62,8 @@ def mapping_file(path: Path) -> Path:
 def is_bag(path: Path) -> bool:
     """Whether it is an MCAP file, or a folder that a ROS 2 recorder wrote."""
     return path.suffix.lower() == ".mcap" or (path / "metadata.yaml").is_file()
+
+
+def is_lerobot(path: Path) -> bool:
+    """Whether it is the folder of a LeRobot data set."""
+    return (path / "meta" / "info.json").is_file()

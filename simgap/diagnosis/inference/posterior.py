@@ -74,14 +74,24 @@ def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
 
 
 def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
-    """Whether any of the effect's amplitudes is so many standard deviations from zero, and none beyond belief."""
+    """Whether any of the effect's amplitudes is so many standard deviations from zero, and none beyond belief: larger
+    than is credible, or at a bound, which lies beyond what a robot does."""
     told = False
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         value = abs(value_of(fit.v, group))
-        if value > min(constant.credible(site, problem.scales) for site in candidate.sites):
+        credible = min(constant.credible(site, problem.scales) for site in candidate.sites)
+        if value > credible or _at_end(problem, fit, group):
             return False
         told |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
     return told
+
+
+def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
+    """Whether a constant ends at a bound that is not nil, together with what acts everywhere."""
+    entry = group.entries[0]
+    value = value_of(fit.v, group) + (float(fit.v.theta[entry]) if group.support else 0.0)
+    ends = np.array([bound[entry] for bound in problem.augmented.bounds])
+    return bool(np.any(np.isfinite(ends) & (ends != 0) & (np.abs(value - ends) <= EDGE * np.abs(ends))))
 
 
 def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> list[dict]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Group, Problem, replaced, value_of
+from simgap.diagnosis.likelihood.problem import Group, Problem, replaced, value_of, with_value
 
 TRUST = (0.0, 1.0)
 """Bounds of K's diagonal: the share of an innovation that a measured output is trusted with."""
@@ -41,12 +41,18 @@ def spans(problem: Problem) -> Float[np.ndarray, " p"]:
 
 def bounds_of(problem: Problem, v: Variables, group: Group) -> tuple[float, float]:
     """Between which a constant makes sense: behind a support, together with what acts everywhere."""
-    entries = list(group.entries)
-    low, high = (bound[entries] for bound in problem.augmented.bounds)
     if group.support == 0:
+        low, high = (bound[list(group.entries)] for bound in problem.augmented.bounds)
         return float(low.max()), float(high.min())
-    here, value = np.asarray(v.theta)[entries], value_of(v, group)
-    return min(float((low - here).max()), value), max(float((high - here).min()), value)
+    (low, high), value = _beside(problem, v.theta, group), value_of(v, group)
+    return min(low, value), max(high, value)
+
+
+def _beside(problem: Problem, theta: Float[np.ndarray, " P"], group: Group) -> tuple[float, float]:
+    """Between which a constant behind a support keeps the sum with what acts everywhere within bounds."""
+    entries = list(group.entries)
+    low, high = (bound[entries] - np.asarray(theta)[entries] for bound in problem.augmented.bounds)
+    return float(low.max()), float(high.min())
 
 
 def _ranges(problem: Problem) -> tuple[Any, Any]:
@@ -62,8 +68,7 @@ def room_to_move(
     down = [(low - v.phi) / units, TRUST[0] - v.gain, -CROSS - v.cross]
     up = [(high - v.phi) / units, TRUST[1] - v.gain, CROSS - v.cross]
     for group in groups:
-        least, most = (-np.inf, np.inf) if group.support else bounds_of(problem, v, group)
-        value = v.theta[group.entries[0]]
+        (least, most), value = bounds_of(problem, v, group), value_of(v, group)
         down.append(np.array([(least - value) / group.scale]))
         up.append(np.array([(most - value) / group.scale]))
     return np.minimum(np.concatenate(down), 0.0), np.maximum(np.concatenate(up), 0.0)
@@ -78,7 +83,10 @@ def step_from(problem: Problem, v: Variables, groups: Sequence[Group], delta: np
     own = [i for g in groups if g.support == 0 for i in g.entries]
     theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
     phi = np.clip(moved.phi, *_ranges(problem))
-    return Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.delta)
+    moved = Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.delta)
+    for group in (g for g in groups if g.support):
+        moved = with_value(moved, group, float(np.clip(value_of(moved, group), *_beside(problem, theta, group))))
+    return moved
 
 
 def prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np.ndarray:

@@ -10,6 +10,7 @@ from small import KEYS, RICH, acting, problem, sessions
 
 from examples.drive import PARAMETERS, SCHEMA
 from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.hypotheses.space import candidates
 from simgap.diagnosis.hypotheses.support import When, opened
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.gauss_newton import hold, lowest, optimise, refine
@@ -17,7 +18,7 @@ from simgap.diagnosis.inference.model import Model, decorrelated
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Group, Problem, evaluate, start, trials, value_of, whitening
+from simgap.diagnosis.likelihood.problem import Group, Problem, evaluate, start, trials, value_of, whitening, with_value
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
@@ -81,6 +82,39 @@ def test_constants_stay_within_their_bounds() -> None:
     found = np.asarray(model.fit.v.theta)
     assert (found >= low).all()
     assert (found <= high).all()
+
+
+def test_constants_behind_a_support_stay_within_their_bounds() -> None:
+    """What acts from a time on only is no less than nil there; what acts everywhere as well, together with that."""
+    training, _ = sessions({}, seed=6)
+    of = problem(training)
+    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [When(from_s=5.0)]))
+    keys = ("coulomb_friction", "viscous_drag", "saturation", "rate_limit", "deadband", "lag")
+    everywhere = tuple(group(key, (0,)) for key in keys)
+    later = tuple(g._replace(support=1) for g in everywhere)
+    low, high = SPOT.bounds
+    for groups in (later, (*everywhere, *later)):
+        fit, _ = optimise(of, evaluate(of, start(of), groups))
+        found = np.asarray(fit.v.theta) + np.asarray(fit.v.delta[0])
+        assert (found >= low - 1e-6).all()
+        assert (found <= high + 1e-6).all()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "names"),
+    [("integration_rule", -1.0, False), ("integration_rule", -0.9, True), ("integration_rule", 1.5, False),
+     ("gain", 2.0, False), ("gain", 0.5, True), ("delay", 8.0, False), ("delay", 2.0, True)],
+)  # fmt: skip
+def test_a_constant_at_a_bound_names_nothing(key: str, value: float, names: bool) -> None:
+    """Bounds lie beyond what a robot does: a fit that goes there has found something else."""
+    of = problem(sessions({}, seed=6)[0])
+    candidate = next(c for c in candidates(SPOT, of.scales) if c.effect.key == key)
+    v = start(of)
+    for g in candidate.groups:
+        v = with_value(v, g, value)
+    fit = evaluate(of, v, candidate.groups)
+    sd = posterior.Spread(np.zeros(24), np.full(len(candidate.groups), 0.01), np.ones(24, bool))
+    assert posterior.told_from_nil(of, fit, candidate, sd) == names
 
 
 def test_every_step_of_the_fit_is_an_improvement() -> None:

@@ -26,24 +26,27 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from simgap.formats import mapping as importing
 from simgap.formats.documents import read_json
+from simgap.formats.importing import import_sessions
+from simgap.formats.mapping import MappingFile, read_mapping
 from simgap.formats.recordings import read_recordings
 from simgap.formats.tables import read_table
 from simgap.simulators.spot import SCHEMA
 from simgap.types import MOST_ROWS, ConfigError, RecordingError, SimgapError
 
 
-def mapping_file(folder: Path, content: Any) -> importing.MappingFile:
+def mapping_file(folder: Path, content: Any) -> MappingFile:
     path = folder / "mapping.yaml"
     path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
-    return importing.read_mapping(path, SCHEMA)
+    return read_mapping(path, SCHEMA)
 
 
 def bring(path: Path, content: Any) -> list[Any]:
     """The recordings that a session becomes."""
     out = path.parent / "out"
-    importing.import_session(path, "walk", mapping_file(path.parent, content), SCHEMA, out)
+    _, errors = import_sessions(path, "walk", mapping_file(path.parent, content), SCHEMA, out)
+    if errors:
+        raise errors[0]
     return read_recordings(out, SCHEMA, 1 / given.RATE)[0]
 
 

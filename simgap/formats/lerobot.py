@@ -1,0 +1,131 @@
+"""LeRobot data sets, versions 2 and 3, read without LeRobot: an episode is a session.
+
+Columns are named by a feature and its entry, as `observation.state.shoulder_pan.pos`; entries without names by their
+number, as `action.0`; a feature of one number by itself, as `timestamp`. Videos are not looked at.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from simgap.formats.documents import read_json
+from simgap.formats.tables import Columns
+from simgap.types import MOST_ROWS, RecordingError
+
+EPISODE, FRAME, STAMP = "episode_index", "frame_index", "timestamp"
+_SHOWN = 40  # columns that are listed where one is missing
+
+
+class Episode(NamedTuple):
+    """An episode by its name, and what reads its columns."""
+
+    name: str
+    read: Callable[[], Columns]
+
+
+class _Place(NamedTuple):
+    """A column: which entry of which feature; None for a feature of one number."""
+
+    feature: str
+    entry: int | None
+
+
+def episodes(root: Path, wanted: Sequence[str]) -> Iterator[Episode]:
+    """The episodes of a data set, by their number; each reads the wanted columns.
+
+    Raises RecordingError where the data set is of another version or lacks a column. A damaged file is an episode whose
+    reading raises it.
+    """
+    places, fps = _places(root, wanted)
+    files = sorted((root / "data").rglob("*.parquet"))
+    if not files:
+        raise RecordingError(f"{root}: has no Parquet file in data/. Download the data set whole.")
+    for path in files:
+        try:
+            numbers = pq.read_table(path, columns=[EPISODE])[EPISODE].to_numpy()
+        except (pa.ArrowException, OSError, KeyError) as error:
+            yield Episode(path.stem, partial(_refuse, path, error))
+            continue
+        for number in np.unique(numbers):
+            yield Episode(f"episode_{number:06d}", partial(_read, path, int(number), places, fps))
+
+
+def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float]:
+    """Where the wanted columns are, by what meta/info.json says of the features; and frames a second."""
+    info = read_json(root / "meta" / "info.json")
+    try:
+        version, features, fps = str(info["codebase_version"]), info["features"], float(info["fps"])
+        there = {name: place for feature, entry in features.items() for name, place in _entries(feature, entry)}
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise RecordingError(
+            f"{root}/meta/info.json: describes no LeRobot data set ({error!r}). Download the data set whole."
+        ) from None
+    if version.lstrip("v").split(".")[0] not in ("2", "3"):
+        raise RecordingError(f"{root}: is a LeRobot data set of version {version}; 2 and 3 are read. Convert it with "
+                             "LeRobot's own script.")  # fmt: skip
+    missing = [name for name in wanted if name not in there]
+    if missing:
+        known = list(there)
+        more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
+        raise RecordingError(f"{root}: has no column {', '.join(missing)}; there are {', '.join(known[:_SHOWN])}"
+                             f"{more}. Correct the mapping file.")  # fmt: skip
+    return {name: there[name] for name in wanted}, fps
+
+
+def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Place]]:
+    """Names and places of a feature's numbers; none of images, videos and texts."""
+    if described["dtype"] in ("image", "video", "string") or len(described["shape"]) != 1:
+        return
+    (size,) = described["shape"]
+    names = described.get("names")
+    if isinstance(names, dict):  # {"motors": [...]}
+        names = [name for group in names.values() for name in group]
+    if names is None or len(names) != size:
+        names = range(size)
+    if size == 1:
+        yield feature, _Place(feature, None)
+    yield from ((f"{feature}.{name}", _Place(feature, i)) for i, name in enumerate(names))
+
+
+def _read(path: Path, number: int, places: dict[str, _Place], fps: float) -> Columns:
+    """Columns of an episode; RecordingError where the file does not hold what info.json says."""
+    features = list(dict.fromkeys(place.feature for place in places.values()))
+    try:
+        table = pq.read_table(path, columns=list(dict.fromkeys([EPISODE, FRAME, *features])))
+        table = table.filter(pc.field(EPISODE) == number)
+        if len(table) > MOST_ROWS:
+            raise RecordingError(f"{path}: episode {number} has more than {MOST_ROWS:,} rows, the most of a session.")
+        rows = {feature: _rows(table[feature]) for feature in features}
+        if STAMP in rows:
+            rows[STAMP] = _exact(rows[STAMP], _rows(table[FRAME]) / fps)
+        return {name: rows[place.feature][:, place.entry or 0] for name, place in places.items()}
+    except (pa.ArrowException, OSError, KeyError, IndexError, ValueError) as error:
+        raise _damaged(path, error) from None
+
+
+def _rows(column: pa.ChunkedArray) -> np.ndarray:
+    """A column of numbers or of lists as long as each other, as a matrix."""
+    values = column.combine_chunks()
+    if pa.types.is_list(values.type) or pa.types.is_large_list(values.type) or pa.types.is_fixed_size_list(values.type):
+        return values.flatten().to_numpy(zero_copy_only=False).astype(np.float64).reshape(len(values), -1)
+    return values.to_numpy(zero_copy_only=False).astype(np.float64)[:, None]
+
+
+def _exact(stamps: np.ndarray, even: np.ndarray) -> np.ndarray:
+    """Stamps in single precision lose up to a millisecond in three hours; most are those of even frames."""
+    return np.where(np.abs(stamps - even) <= 2 * np.spacing(np.float32(stamps)), even, stamps)
+
+
+def _refuse(path: Path, error: Exception) -> Columns:
+    raise _damaged(path, error)
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    line = next(iter(str(error).splitlines()), type(error).__name__)
+    return RecordingError(f"{path}: is no file of a LeRobot data set ({line}). Download or record it again.")
