@@ -102,7 +102,7 @@ EFFECTS = (
         "the velocity memory turns with the body, to a share of {share}", form="body_frame", tie="any",
     ),
     Effect(
-        "integration_rule", "after", (Constant("weight", "-", low=-1.0, high=1.5),), _integrated_sites,
+        "integration_rule", "after", (Constant("weight", "-", low=-1.5, high=1.5),), _integrated_sites,
         lambda scales, site: [[0.3]], _integration_rule,
         "positions advance by the old velocity to a share of {weight}", tie="any",
     ),

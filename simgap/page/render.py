@@ -1,4 +1,4 @@
-"""The page as one HTML document that needs no other file and runs no script."""
+"""Pages as HTML documents that need no other file and run no script."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from simgap.page.figures import Figures
+from simgap.page.marks import COLOURS, FONTS
 from simgap.page.view import view
 
 _ENVIRONMENT = Environment(
@@ -21,4 +22,9 @@ def page(statement: Mapping[str, Any], figures: Figures) -> str:
 
     statement: what diagnosis.json holds, of which only `verdict` is required. Raises KeyError without it.
     """
-    return _ENVIRONMENT.get_template("page.html.jinja").render(view(statement, figures))
+    return fill("page.html.jinja", view(statement, figures))
+
+
+def fill(template: str, values: Mapping[str, Any]) -> str:
+    """A template of this package with its values, in the project's fonts and colours."""
+    return _ENVIRONMENT.get_template(template).render(fonts=FONTS, accent=COLOURS["augmented"], **values)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from simgap.page import effects, marks, numbers, scores, tried, where, wording
+from simgap.page import effects, numbers, scores, tried, where, wording
 from simgap.page.figures import Figures
 
 Values = Mapping[str, Any]
@@ -18,8 +18,6 @@ def view(statement: Values, figures: Figures) -> dict[str, Any]:
     KeyError without a verdict.
     """
     return {
-        "fonts": marks.FONTS,
-        "accent": marks.COLOURS["augmented"],
         "summary": _summary(statement),
         "where": where.where(statement, figures),
         "what": effects.what(statement, figures),

@@ -102,7 +102,7 @@ def test_constants_behind_a_support_stay_within_their_bounds() -> None:
 
 @pytest.mark.parametrize(
     ("key", "value", "names"),
-    [("integration_rule", -1.0, False), ("integration_rule", -0.9, True), ("integration_rule", 1.5, False),
+    [("integration_rule", -1.5, False), ("integration_rule", -1.0, True), ("integration_rule", 1.5, False),
      ("gain", 2.0, False), ("gain", 0.5, True), ("delay", 8.0, False), ("delay", 2.0, True)],
 )  # fmt: skip
 def test_a_constant_at_a_bound_names_nothing(key: str, value: float, names: bool) -> None:

@@ -6,17 +6,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import mlflow
 import numpy as np
 import pandas as pd
 import pytest
-from mlflow import MlflowClient
 
+import simgap
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.inference.explain import split
 from simgap.formats.documents import read_json
 from simgap.loading.load import find, make
 from simgap.types import Recording, Sessions
+from tasks.augmented_pyfunc import _load_pyfunc
 
 SIMULATOR = """
 import jax.numpy as jnp
@@ -85,7 +85,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def statement(folder: Path, prefect_server: dict[str, str]) -> dict[str, Any]:
+def statement(folder: Path) -> dict[str, Any]:
     """What comes of importing, checking and diagnosing them."""
     named = ["--simulator", "pendulum:FREE"]
     for arguments in (
@@ -94,7 +94,7 @@ def statement(folder: Path, prefect_server: dict[str, str]) -> dict[str, Any]:
         ["diagnose", "mine", "--out", "found", *named],
     ):
         done = subprocess.run(
-            [Path(sys.executable).parent / "simgap", *arguments], cwd=folder, env=prefect_server, capture_output=True,
+            [Path(sys.executable).parent / "simgap", *arguments], cwd=folder, capture_output=True,
             text=True, timeout=1200,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
@@ -122,21 +122,21 @@ def test_nothing_is_said_of_commands(folder: Path, statement: dict[str, Any]) ->
 
 
 @pytest.mark.usefixtures("statement")
-def test_its_augmented_simulator_is_a_model(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_corrected_simulator_is_loaded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By itself, and as MLflow loads it, over a table."""
     monkeypatch.setattr(sys, "path", [*sys.path, str(folder)])
     monkeypatch.delitem(sys.modules, "own_pendulum", raising=False)
-    monkeypatch.chdir(folder)
-    store = f"sqlite:///{folder / 'mlflow.db'}"
-    client = MlflowClient(store)
-    experiment = client.get_experiment_by_name("diagnosis")
-    assert experiment is not None
-    (run,) = client.search_runs([experiment.experiment_id])
-    assert run.outputs is not None
-    (logged,) = run.outputs.model_outputs
-    mlflow.set_tracking_uri(store)
-    model = mlflow.pyfunc.load_model(f"models:/{logged.model_id}")
-    got = model.predict(pd.DataFrame([{"angle": 1.0, "rate": 2.0}, {"angle": 1.0, "rate": 0.0}]))
+    simulator = simgap.load(folder / "found")
+    rows = [{"angle": 1.0, "rate": 2.0}, {"angle": 1.0, "rate": 0.0}]
+    got = _load_pyfunc(str(folder / "found" / "augmented.npz"), {"simulator": "pendulum:FREE"}).predict(
+        pd.DataFrame(rows)
+    )
     assert list(got.columns) == ["next_angle", "next_rate"]
+    expected = [
+        simulator.step(simgap.nominal(simulator), np.array(list(row.values()), np.float32), np.empty(0, np.float32))
+        for row in rows
+    ]
+    np.testing.assert_allclose(got.to_numpy(), expected, rtol=1e-5)
     assert np.isfinite(got.to_numpy()).all()
 
 
