@@ -67,7 +67,8 @@ def load(folder: str | PathLike[str], simulator: StepModel | None = None) -> Aug
     simulator: the one that was diagnosed, where its name in `diagnosis.json` does not lead to it.
     """
     statement = read_statement(Path(folder))
-    return read_simulator(Path(folder) / MODEL, simulator or load_simulator(statement["simulator"]))
+    used = load_simulator(statement["simulator"]) if simulator is None else simulator
+    return read_simulator(Path(folder) / MODEL, used)
 
 
 def _name_of(simulator: Any) -> str:

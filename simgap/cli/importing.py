@@ -13,7 +13,7 @@ from simgap.types import RecordingError
 
 
 def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
-    """Every session of `source` as the mapping file says; one that cannot be used is told of, and loses no other."""
+    """Every session of `source` as the mapping file says; one that cannot be used is reported, and loses no other."""
     schema = load(simulator).schema
     mapping = read_mapping(mapping_file, schema)
     paths = sessions.sources(source)
@@ -34,7 +34,7 @@ def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: st
         raise RecordingError(f"{source}: none of its sessions can be used; the reasons are above.")
     others = [name for name in session_names(out) if name not in rows]
     if others:
-        progress.say(f"warning: {out} holds {', '.join(others)} besides, which this import did not write. Remove what "
+        progress.say(f"warning: {out} holds {', '.join(others)} as well, which this import did not write. Remove what "
                      "is not to be used: a session that was cut otherwise before would be there twice.")  # fmt: skip
     progress.say(f"{len(rows)} sessions, {sum(rows.values()):,} rows at {mapping.rate_hz:g} Hz in {out}\n"
                  f"Look at them with: simgap check {out} --simulator {simulator}")  # fmt: skip

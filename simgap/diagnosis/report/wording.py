@@ -190,7 +190,7 @@ def _would_show(told: dict[str, Any]) -> str:
         if v["size"] is not None:
             first.setdefault(place_of[v["effect"]], v)
     sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
-    return f" Found with a chance of {seen['chance']:.0%} would have been, for example: {'; '.join(sizes)}."
+    return f" With a probability of {seen['chance']:.0%} these would have been found, for example: {'; '.join(sizes)}."
 
 
 def sized(visible: dict[str, Any]) -> str:

@@ -195,7 +195,7 @@ def test_a_session_is_cut_where_the_state_pauses(tmp_path: Path, capsys: pytest.
     assert found[0].time_s[-1] + found[1].time_s[-1] < SECONDS - 1
     assert "besides" not in capsys.readouterr().out
     imported(tmp_path, tmp_path / "in", {**TABLE, "longest_gap_s": 2.0})
-    assert "holds deep/walk_1, deep/walk_2 besides, which this import did not write" in capsys.readouterr().out
+    assert "holds deep/walk_1, deep/walk_2 as well, which this import did not write" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
