@@ -2,6 +2,7 @@
 
 import html
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,8 @@ from examples.record import record
 from simgap import api
 from simgap.formats.recordings import read_recordings
 from simgap.types import ConfigError, Recording, RecordingError, Sessions, SimgapError
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +92,22 @@ def test_what_is_saved_is_loaded_again(result: simgap.Result, tmp_path: Path) ->
         simgap.load(tmp_path / "found", Drive(parameters=DRIVE.parameters[:1]))
     with pytest.raises(SimgapError, match=r"holds no diagnosis\.json"):
         simgap.load(tmp_path)
+
+
+def test_the_page_about_it_works_as_printed(
+    folder: Path, result: simgap.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "sweeps" / "drive").symlink_to(folder)
+    result.save("sweeps/drive-diagnosis")
+    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.MULTILINE | re.DOTALL)
+    names: dict[str, Any] = {"state": jnp.zeros(2), "command": jnp.ones(1)}
+    for block in blocks:
+        exec(block, names)
+    assert len(blocks) == 2
+    assert (tmp_path / "drive.html").exists()
+    assert names["d"].simulator.effects == names["robot"].effects == ("coulomb_friction",)
 
 
 @pytest.fixture
