@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -45,7 +46,10 @@ def remove_folder(folder: Path, within: Path) -> None:
         return
     _refuse_outside(folder.resolve(), folder, within)
     failed: list[tuple[str, BaseException]] = []
-    shutil.rmtree(folder, onerror=lambda _, path, error: failed.append((path, error[1])))
+    if sys.version_info >= (3, 12):
+        shutil.rmtree(folder, onexc=lambda _, path, error: failed.append((path, error)))
+    else:
+        shutil.rmtree(folder, onerror=lambda _, path, error: failed.append((path, error[1])))
     if failed:
         (path, error), more = failed[0], len(failed) - 1
         raise SimgapError(
