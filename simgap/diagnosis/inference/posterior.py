@@ -119,13 +119,13 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
 
 def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> bool:
     """Whether the recordings say anything of the constants of an effect that gains so many nats: no interval is empty,
-    and none is a whole range."""
+    none is a whole range, and none ends at a bound that is not nil."""
     low, high = problem.augmented.bounds
     for group in candidate.groups:
         c = value_of(fit.v, group)
         width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
         whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
-        if whole or not width > 0:
+        if whole or not width > 0 or _at_end(problem, fit, group):
             return False
     return True
 

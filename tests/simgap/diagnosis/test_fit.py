@@ -115,6 +115,7 @@ def test_a_constant_at_a_bound_names_nothing(key: str, value: float, names: bool
     fit = evaluate(of, v, candidate.groups)
     sd = posterior.Spread(np.zeros(24), np.full(len(candidate.groups), 0.01), np.ones(24, bool))
     assert posterior.told_from_nil(of, fit, candidate, sd) == names
+    assert posterior.determined(of, fit, candidate, sd, 100.0) == names
 
 
 def test_every_step_of_the_fit_is_an_improvement() -> None:
