@@ -13,7 +13,7 @@ from prefect import flow
 
 from flows import provenance
 from simgap.cli import progress
-from simgap.cli.diagnose import summary
+from simgap.cli.diagnose import say_what_is_read, summary
 from simgap.cli.locks import alone
 from simgap.formats.folders import make_folder
 from simgap.formats.purposes import Folders
@@ -67,10 +67,7 @@ class _Asked(NamedTuple):
 
 def _read(asked: _Asked) -> diagnose.Sessions:
     sessions, errors = diagnose.read(asked.folders, asked.simulator)
-    for error in errors:
-        progress.say(f"left out: {error}")
-    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
-    progress.say(f"diagnosis of {asked.name} on {asked.label}: {counts} sessions")
+    say_what_is_read(asked.name, asked.label, sessions, errors)
     return sessions
 
 

@@ -31,7 +31,7 @@ def _quiet_libraries() -> None:
     """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks."""
     for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    # That a server is gone is told once; this would tell it again for every try.
+    # A lost server is reported once, not for every retry.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
     for name in ("prefect.flow_runs", "prefect.task_runs"):
         logging.getLogger(name).addFilter(_has_no_traceback)

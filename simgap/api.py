@@ -10,8 +10,8 @@ import numpy as np
 
 from simgap.diagnosis.diagnose import diagnose as find
 from simgap.formats.diagnoses import MODEL, read_simulator, read_statement
-from simgap.formats.purposes import Given, arranged
-from simgap.formats.recordings import checked, read_recordings
+from simgap.formats.purposes import Given, arranged, in_folder
+from simgap.formats.recordings import checked
 from simgap.loading.checks import check
 from simgap.loading.load import load as load_simulator
 from simgap.result import Result
@@ -81,10 +81,7 @@ def _name_of(simulator: Any) -> str:
 def _given(purpose: str, recordings: Recordings, simulator: StepModel, errors: list[str]) -> Given:
     """Sessions of one purpose, from wherever they are; `errors` gets why files of a folder are left out."""
     if isinstance(recordings, str | PathLike):
-        folder = Path(recordings)
-        found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
-        errors.extend(str(error) for error in bad)
-        return Given(found, str(folder), folder.resolve().name)
+        return in_folder(Path(recordings), simulator, errors)
     sessions = [_session(name, some, simulator.schema) for name, some in _named(recordings)]
     if not sessions:
         raise RecordingError(f"{purpose}: no session is given. Give at least one, as a table or a folder.")

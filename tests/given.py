@@ -16,8 +16,8 @@ from simgap.simulators.spot import Spot
 
 def spot_recordings() -> Path:
     """The published recordings of a real Spot, which the project does not hold itself."""
-    beside = Path(__file__).parents[2] / "shared" / "recordings" / "spot"
-    folder = Path(os.environ.get("SIMGAP_SPOT_RECORDINGS", beside))
+    default = Path(__file__).parents[2] / "shared" / "recordings" / "spot"
+    folder = Path(os.environ.get("SIMGAP_SPOT_RECORDINGS", default))
     if not folder.is_dir():
         pytest.skip(f"no recordings of a real Spot in {folder}; name their folder in SIMGAP_SPOT_RECORDINGS")
     return folder

@@ -1,28 +1,26 @@
 """`simgap diagnose`: what a simulator leaves out of a folder's recordings."""
 
-import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from simgap.cli import progress
 from simgap.cli.locks import alone
 from simgap.diagnosis.diagnose import diagnose
 from simgap.formats import diagnoses, purposes
-from simgap.formats.documents import plain
+from simgap.formats.documents import as_json
 from simgap.formats.folders import make_folder
 from simgap.formats.purposes import Folders
 from simgap.loading.load import load
 from simgap.result import Result
+from simgap.types import Sessions
 
 
-def diagnose_folder(folders: Folders, simulator: str, out: Path, seed: int, as_json: bool) -> None:
+def diagnose_folder(folders: Folders, simulator: str, out: Path, seed: int, json: bool) -> None:
     """Diagnose, write to `out`, and print the statement and where the page is; or the statement as JSON."""
     used = load(simulator)
     sessions, errors = purposes.read(folders, used)
-    for error in errors:
-        progress.say(f"left out: {error}")
-    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
-    progress.say(f"diagnosis of {simulator} on {folders.recordings.resolve().name}: {counts} sessions")
+    say_what_is_read(simulator, folders.recordings.resolve().name, sessions, errors)
     make_folder(out)  # before the work, not after it
     with alone(out):
         start = time.perf_counter()
@@ -31,8 +29,16 @@ def diagnose_folder(folders: Folders, simulator: str, out: Path, seed: int, as_j
         Result(used, found, tuple(errors)).save(out)
     seconds = time.perf_counter() - start
     progress.say(f"\n{summary(found.statement, out, seconds)}")
-    if as_json:
-        print(json.dumps(plain(found.statement), indent=1, sort_keys=True, allow_nan=False))
+    if json:
+        print(as_json(found.statement))
+
+
+def say_what_is_read(simulator: str, recordings: str, sessions: Sessions, errors: Sequence[str]) -> None:
+    """Which files are left out, and how many sessions serve which purpose; names of simulator and recordings."""
+    for error in errors:
+        progress.say(f"left out: {error}")
+    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
+    progress.say(f"diagnosis of {simulator} on {recordings}: {counts} sessions")
 
 
 def summary(statement: dict, out: Path, seconds: float) -> str:

@@ -15,18 +15,22 @@ from simgap.types import SimgapError
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write as JSON, keys sorted; see `plain`."""
-    write_text(path, json.dumps(plain(value), indent=1, sort_keys=True, allow_nan=False) + "\n")
+    """Write `as_json`."""
+    write_text(path, as_json(value) + "\n")
 
 
-def plain(value: Any) -> Any:
-    """What JSON can hold: arrays as lists, and null for numbers that are not finite, which JSON has not."""
+def as_json(value: Any) -> str:
+    """A value as JSON, keys sorted; arrays as lists, and null for numbers that are not finite, which JSON has not."""
+    return json.dumps(_plain(value), indent=1, sort_keys=True, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [_plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return _plain(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

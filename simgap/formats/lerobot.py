@@ -47,13 +47,16 @@ def episodes(root: Path, wanted: Sequence[str]) -> Iterator[Episode]:
     if not files:
         raise RecordingError(f"{root}: has no Parquet file in data/. Download the data set whole.")
     for path in files:
+        features = list(dict.fromkeys([EPISODE, FRAME, *(place.feature for place in places.values())]))
         try:
-            numbers = pq.read_table(path, columns=[EPISODE])[EPISODE].to_numpy()
+            table = pq.read_table(path, columns=features)
+            numbers = np.unique(table[EPISODE].to_numpy())
         except (pa.ArrowException, OSError, KeyError) as error:
             yield Episode(path.stem, partial(_refuse, path, error))
             continue
-        for number in np.unique(numbers):
-            yield Episode(f"episode_{number:06d}", partial(_read, path, int(number), places, fps))
+        for number in numbers:
+            rows = table.filter(pc.field(EPISODE) == number)
+            yield Episode(f"episode_{number:06d}", partial(_columns, path, rows, places, fps))
 
 
 def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float]:
@@ -93,19 +96,16 @@ def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Pl
     yield from ((f"{feature}.{name}", _Place(feature, i)) for i, name in enumerate(names))
 
 
-def _read(path: Path, number: int, places: dict[str, _Place], fps: float) -> Columns:
-    """Columns of an episode; RecordingError where the file does not hold what info.json says."""
-    features = list(dict.fromkeys(place.feature for place in places.values()))
+def _columns(path: Path, table: pa.Table, places: dict[str, _Place], fps: float) -> Columns:
+    """Columns of an episode's rows; RecordingError where the file does not hold what info.json says."""
+    if len(table) > MOST_ROWS:
+        raise RecordingError(f"{path}: an episode has more than {MOST_ROWS:,} rows, the most of a session.")
     try:
-        table = pq.read_table(path, columns=list(dict.fromkeys([EPISODE, FRAME, *features])))
-        table = table.filter(pc.field(EPISODE) == number)
-        if len(table) > MOST_ROWS:
-            raise RecordingError(f"{path}: episode {number} has more than {MOST_ROWS:,} rows, the most of a session.")
-        rows = {feature: _rows(table[feature]) for feature in features}
+        rows = {place.feature: _rows(table[place.feature]) for place in places.values()}
         if STAMP in rows:
             rows[STAMP] = _exact(rows[STAMP], _rows(table[FRAME]) / fps)
         return {name: rows[place.feature][:, place.entry or 0] for name, place in places.items()}
-    except (pa.ArrowException, OSError, KeyError, IndexError, ValueError) as error:
+    except (pa.ArrowException, KeyError, IndexError, ValueError) as error:
         raise _damaged(path, error) from None
 
 

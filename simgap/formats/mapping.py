@@ -91,10 +91,10 @@ def _check_columns(mapping: MappingFile, schema: Schema) -> None:
     fields = {f.name: f for f in (*schema.state, *schema.command)}
     if set(mapping.columns) != set(fields):
         missing, unknown = sorted(fields.keys() - mapping.columns), sorted(mapping.columns.keys() - fields)
-        told = [
+        wrong = [
             f"{what} {', '.join(names)}" for what, names in (("lacks", missing), ("has the unknown", unknown)) if names
         ]
-        raise ConfigError(f"columns {' and '.join(told)}; it must have {', '.join(fields)}, each once.")
+        raise ConfigError(f"columns {' and '.join(wrong)}; it must have {', '.join(fields)}, each once.")
     for name, column in mapping.columns.items():
         try:
             resample.factor(column.unit or fields[name].unit, fields[name].unit)

@@ -32,17 +32,16 @@ def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
     Raises RecordingError as `arranged` does, and when a folder has no usable session.
     """
     errors: list[str] = []
-
-    def sessions(folder: Path | None) -> Given | None:
-        if folder is None:
-            return None
-        found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
-        errors.extend(str(error) for error in bad)
-        return Given(found, str(folder), folder.resolve().name)
-
-    recordings = sessions(folders.recordings)
+    recordings, *others = (folder and in_folder(folder, simulator, errors) for folder in folders)
     assert recordings is not None
-    return arranged(simulator.schema, recordings, sessions(folders.heldout), sessions(folders.baseline)), errors
+    return arranged(simulator.schema, recordings, *others), errors
+
+
+def in_folder(folder: Path, simulator: StepModel, errors: list[str]) -> Given:
+    """The sessions of a folder; `errors` gets why others cannot be used. RecordingError where none can."""
+    found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
+    errors.extend(str(error) for error in bad)
+    return Given(found, str(folder), folder.resolve().name)
 
 
 def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline: Given | None) -> Sessions:

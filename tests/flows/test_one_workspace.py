@@ -98,7 +98,7 @@ def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(
         assert "-m flows.train virtual --overrides long.yaml. Two commands" in output
         assert "Traceback" not in output
         assert record.read_bytes() == before
-        sweep = ("flows.sweep", "virtual", "--name", "beside", "--models", "sim_model")
+        sweep = ("flows.sweep", "virtual", "--name", "other", "--models", "sim_model")
         status, output = ran(project, sweep, prefect_server)
         assert status == 0, output
         assert first.poll() is None

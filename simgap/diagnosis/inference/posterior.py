@@ -74,8 +74,8 @@ def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
 
 
 def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
-    """Whether any of the effect's amplitudes is so many standard deviations from zero, and none beyond belief: larger
-    than is credible, or at a bound, which lies beyond what a robot does."""
+    """Whether an amplitude of the effect is at least `deviations` standard deviations from zero, and all constants are
+    plausible: no larger than credible, and not at a bound (bounds lie beyond what a robot does)."""
     told = False
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         value = abs(value_of(fit.v, group))
@@ -87,7 +87,7 @@ def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, 
 
 
 def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
-    """Whether a constant ends at a bound that is not nil, together with what acts everywhere."""
+    """Whether a constant is at a bound other than zero; behind a support, whether its sum with theta is."""
     entry = group.entries[0]
     value = value_of(fit.v, group) + (float(fit.v.theta[entry]) if group.support else 0.0)
     ends = np.array([bound[entry] for bound in problem.augmented.bounds])
@@ -118,8 +118,8 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
 
 
 def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> bool:
-    """Whether the recordings say anything of the constants of an effect that gains so many nats: no interval is empty,
-    none is a whole range, and none ends at a bound that is not nil."""
+    """Whether the recordings determine the constants of an effect that gains `gain` nats: no interval is empty or the
+    whole range, and no constant is at a bound other than zero."""
     low, high = problem.augmented.bounds
     for group in candidate.groups:
         c = value_of(fit.v, group)

@@ -40,18 +40,16 @@ def spans(problem: Problem) -> Float[np.ndarray, " p"]:
 
 
 def bounds_of(problem: Problem, v: Variables, group: Group) -> tuple[float, float]:
-    """Between which a constant makes sense: behind a support, together with what acts everywhere."""
-    if group.support == 0:
-        low, high = (bound[list(group.entries)] for bound in problem.augmented.bounds)
-        return float(low.max()), float(high.min())
-    (low, high), value = _beside(problem, v.theta, group), value_of(v, group)
-    return min(low, value), max(high, value)
+    """Bounds of a constant; behind a support of its sum with theta, and at least as wide as to hold its value in v."""
+    (low, high), value = _bounds(problem, v.theta, group), value_of(v, group)
+    return (min(low, value), max(high, value)) if group.support else (low, high)
 
 
-def _beside(problem: Problem, theta: Float[np.ndarray, " P"], group: Group) -> tuple[float, float]:
-    """Between which a constant behind a support keeps the sum with what acts everywhere within bounds."""
+def _bounds(problem: Problem, theta: Float[np.ndarray, " P"], group: Group) -> tuple[float, float]:
+    """Bounds of a constant; behind a support those that keep its sum with theta, which acts everywhere, in bounds."""
     entries = list(group.entries)
-    low, high = (bound[entries] - np.asarray(theta)[entries] for bound in problem.augmented.bounds)
+    here = np.asarray(theta)[entries] if group.support else 0.0
+    low, high = (bound[entries] - here for bound in problem.augmented.bounds)
     return float(low.max()), float(high.min())
 
 
@@ -85,7 +83,7 @@ def step_from(problem: Problem, v: Variables, groups: Sequence[Group], delta: np
     phi = np.clip(moved.phi, *_ranges(problem))
     moved = Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.delta)
     for group in (g for g in groups if g.support):
-        moved = with_value(moved, group, float(np.clip(value_of(moved, group), *_beside(problem, theta, group))))
+        moved = with_value(moved, group, float(np.clip(value_of(moved, group), *_bounds(problem, theta, group))))
     return moved
 
 

@@ -85,7 +85,7 @@ def test_constants_stay_within_their_bounds() -> None:
 
 
 def test_constants_behind_a_support_stay_within_their_bounds() -> None:
-    """What acts from a time on only is no less than nil there; what acts everywhere as well, together with that."""
+    """Of an effect that acts only from a time on, and of the sum where it also acts everywhere."""
     training, _ = sessions({}, seed=6)
     of = problem(training)
     of = of._replace(chunks=opened(SPOT.layout, of.chunks, [When(from_s=5.0)]))
