@@ -5,8 +5,10 @@ RECORDINGS ?=
 HOST ?= 127.0.0.1
 PREFECT_PORT ?= 4200
 MLFLOW_PORT ?= 5000
+# Where Python is told to write no bytecode, every one of the many processes would compile all of its imports again.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup run test lint lock up down clean
+.PHONY: setup run test lint docs lock up down clean
 
 setup: .venv/.installed  ## flows and tasks are in no wheel: the .pth file makes the folder of the project importable
 
@@ -14,15 +16,15 @@ setup: .venv/.installed  ## flows and tasks are in no wheel: the .pth file makes
 	@command -v python3.11 >/dev/null || { echo "Python 3.11 is needed, as python3.11 on the PATH."; exit 1; }
 	python3.11 -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
-	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes requirements.lock
+	$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes requirements.lock
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --editable .
 	@echo "$(CURDIR)" > "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/simgap-pipeline.pth"
 	@touch $@
 
 run: setup  ## the main job in a small size; SOURCE=spot RECORDINGS=folder for recordings of one's own
-	$(BIN)/python -m flows.reproduce $(SOURCE) --overrides small.yaml --workspace sweeps/small \
+	$(BIN)/python -m flows.reproduce $(SOURCE) --overrides pipelines/small.yaml --workspace sweeps/small \
 		$(if $(RECORDINGS),--recordings $(RECORDINGS))
-	$(BIN)/python -m flows.sealed.prove development --overrides sealed/small.yaml --workspace sweeps/small
+	$(BIN)/python -m flows.sealed.prove development --overrides pipelines/sealed/small.yaml --workspace sweeps/small
 
 test: setup lint  ## checks and tests
 	$(BIN)/python -m pytest
@@ -32,6 +34,9 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+docs: setup  ## the documentation site, in site/; index.html opens in a browser without a server
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 up: setup  ## Prefect's and MLflow's pages and what is started from them, on this machine alone; logs in logs/
 	$(BIN)/python -m flows.servers up --host $(HOST) --prefect-port $(PREFECT_PORT) --mlflow-port $(MLFLOW_PORT)
@@ -44,4 +49,4 @@ lock:  ## renew requirements.lock from pyproject.toml
 		--extra pipeline --group dev pyproject.toml -o requirements.lock
 
 clean:  ## remove what runs left, but for reports and DVC's cache
-	rm -rf sweeps .prefect mlruns mlflow.db*
+	rm -rf sweeps site .prefect mlruns mlflow.db*

@@ -2,32 +2,49 @@
 
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from concealed.form import Array
 from concealed.plain import COMMAND, STATE, TIME_STEP
 
-COLUMNS = ("time_s", *STATE, *COMMAND)
 EPOCH = 946_684_800
 """Time stamp of every file [s]: when it was made is nobody's business."""
+MODEL = "robot.xml"
+"""The model that the user of a machine has, in the folder of its sessions."""
 
 
-def write(folder: Path, measured: Array, command: Array) -> None:
-    """A CSV a session, `a.csv` to `h.csv`; all numbers as wide as each other."""
+class Columns(NamedTuple):
+    """The columns of sessions, without the time: measured states, commands, and the interval between rows [s]."""
+
+    state: tuple[str, ...]
+    command: tuple[str, ...]
+    time_step: float
+
+
+SPOT = Columns(tuple(STATE), tuple(COMMAND), TIME_STEP)
+"""Those of the robot that walks."""
+
+
+def write(folder: Path, measured: Array, command: Array, columns: Columns = SPOT, model: str = "") -> None:
+    """A CSV a session, `a.csv` to `h.csv` and so on, all numbers as wide as each other; the model too, if there is
+    one."""
     folder.mkdir(parents=True)
     for s in range(len(measured)):
-        rows = np.column_stack([np.arange(measured.shape[1]) * TIME_STEP, measured[s], command[s]])
+        rows = np.column_stack([np.arange(measured.shape[1]) * columns.time_step, measured[s], command[s]])
         path = folder / f"{chr(ord('a') + s)}.csv"
         with path.open("w") as file:
-            file.write(",".join(COLUMNS) + "\n")
+            file.write(",".join(("time_s", *columns.state, *columns.command)) + "\n")
             np.savetxt(file, np.clip(rows, -9999, 9999), fmt="%+012.6f", delimiter=",")
+    if model:
+        (folder / MODEL).write_text(model)
+    for path in (*folder.iterdir(), folder):
         os.utime(path, (EPOCH, EPOCH))
-    os.utime(folder, (EPOCH, EPOCH))
 
 
 def read(folder: Path) -> tuple[Array, Array]:
-    """What `write` wrote: measured states [S, T, 12] and commands [S, T, 6]."""
+    """What `write` wrote of the robot that walks: measured states [S, T, 12] and commands [S, T, 6]."""
     tables = [np.loadtxt(path, delimiter=",", skiprows=1) for path in sorted(folder.glob("*.csv"))]
-    table = np.stack(tables)
-    return table[:, :, 1:13], table[:, :, 13:]
+    table, states = np.stack(tables), 1 + len(SPOT.state)
+    return table[:, :, 1:states], table[:, :, states:]

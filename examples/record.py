@@ -2,6 +2,7 @@
 
     python -m examples.record drive FOLDER [--sessions 8] [--seconds 30] [--seed 0]
     python -m examples.record car FOLDER
+    python -m examples.record arm FOLDER [--missing friction] [--positions-only]   (see `examples.arm`)
 
 The drive has Coulomb friction, with stiction: at rest it stays until the force exceeds the friction. The car's steering
 acts 0.15 s after it is commanded. These machines stand in for reality: they share no code with the simulators, only the
@@ -145,14 +146,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         "python -m examples.record", description="Record a machine whose physics its simulator leaves out."
     )
-    parser.add_argument("machine", choices=MACHINES)
+    parser.add_argument("machine", choices=[*MACHINES, "arm"])
     parser.add_argument("folder", type=Path, help="folder to write the recording set to")
     parser.add_argument("--sessions", type=int, default=8)
-    parser.add_argument("--seconds", type=float, default=30.0, help="length of a session [s]")
+    parser.add_argument("--seconds", type=float, help="length of a session [s]; 8 for the arm, 30 for the others")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--missing", default="friction", help="what the arm's model leaves out (arm only)")
+    parser.add_argument("--positions-only", action="store_true", help="record no velocities (arm only)")
     given = parser.parse_args()
-    paths = record(given.machine, given.folder, given.sessions, given.seconds, given.seed)
-    print(f"{given.folder}: {len(paths)} x {given.seconds:g} s of the {given.machine}")
+    seconds = given.seconds or (8.0 if given.machine == "arm" else 30.0)
+    if given.machine == "arm":
+        from examples.arm import MISSING, ArmConfig, record_arm  # needs MuJoCo, which the others do not
+
+        if given.missing not in MISSING:
+            parser.error(f"--missing {given.missing}: expected one of {', '.join(MISSING)}")
+        config = ArmConfig(given.missing, not given.positions_only)
+        paths = record_arm(given.folder, given.sessions, seconds, given.seed, config)
+    else:
+        paths = record(given.machine, given.folder, given.sessions, seconds, given.seed)
+    print(f"{given.folder}: {len(paths)} x {seconds:g} s of the {given.machine}")
 
 
 if __name__ == "__main__":

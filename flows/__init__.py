@@ -7,11 +7,12 @@ import os
 
 from flows import running
 from simgap.cli import environment
+from tasks import server
 
 _DEFAULTS = {
     **environment.NUMERICS,
     "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
-    # Without a running server, a flow starts one of its own; on two cores that takes longer than the default 20 s.
+    # On a cluster a flow without a server starts one; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_LOGGING_LEVEL": "WARNING",
     # That its server is gone is told by a warning; this would tell it again for every event, with all that is in it.
@@ -28,12 +29,10 @@ _DEFAULTS = {
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "4",
     "DVC_NO_ANALYTICS": "1",
 }
+environment.collect_seldom()
 environment.settle(_DEFAULTS)
 os.environ[running.OWNER] = str(os.getpid())
 if "PREFECT_API_URL" not in os.environ:
-    if "PREFECT_HOME" not in os.environ:
-        if _server := running.find("prefect"):  # `make up`: a flow starts in a second, and is seen there
-            os.environ |= running.client(_server.address, _server.login)
-        else:  # a server of one's own while the command runs, and for it alone
-            os.environ["PREFECT_SERVER_API_AUTH_STRING"] = os.environ["PREFECT_API_AUTH_STRING"] = running.new_login()
+    _server = None if "PREFECT_HOME" in os.environ else running.find("prefect")  # `make up`: a flow is seen there
+    os.environ |= running.client(_server.address, _server.login) if _server else server.NONE
     os.environ.setdefault("PREFECT_HOME", os.path.abspath(".prefect"))

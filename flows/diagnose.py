@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from prefect import flow
-
 from flows import provenance
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.cli.diagnose import say_what_is_read, summary
 from simgap.cli.locks import alone
+from simgap.engines import Engine
 from simgap.formats.folders import make_folder
 from simgap.formats.purposes import Folders
 from simgap.loading.load import load
@@ -60,7 +60,7 @@ class _Asked(NamedTuple):
 
     label: str
     name: str
-    simulator: StepModel
+    simulator: StepModel | Engine
     folders: Folders
     seed: int
 

@@ -3,16 +3,24 @@
 import os
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 from prefect import Task
-from prefect.client.orchestration import get_client
-from prefect.settings import PREFECT_API_URL, temporary_settings
+from prefect.settings import (
+    PREFECT_API_AUTH_STRING,
+    PREFECT_API_URL,
+    PREFECT_HOME,
+    PREFECT_SERVER_API_AUTH_STRING,
+    temporary_settings,
+)
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
+from flows import running
 from simgap.cli import progress
-from tasks import artifacts
+from simgap.formats.folders import keep_private
+from tasks import artifacts, server
 from tasks.workspace import Cell, Workspace
 
 CLUSTER = "SIMGAP_CLUSTER"
@@ -32,7 +40,7 @@ def fan_out(
     failed: dict[Place, str] = {}
     cluster = os.environ.get(CLUSTER)
     runner = _dask(cluster) if cluster else ThreadPoolTaskRunner(max_workers=workers)
-    served = _one_server() if cluster else nullcontext()
+    served = one_server() if cluster and not server.there() else nullcontext()
     with progress.bars(what, len(cells), time.monotonic) as bars, served, runner:
         told = artifacts.Progress(what, len(cells))
         with _stopping(bars):
@@ -60,9 +68,19 @@ def _stopping(bars: progress.Bars) -> Iterator[None]:
         raise
 
 
-def _one_server() -> AbstractContextManager[Any]:
-    """Prefect's server in use here, told to the workers: each would start one of its own."""
-    return temporary_settings({PREFECT_API_URL: str(get_client(sync_client=True).api_url)})
+@contextmanager
+def one_server() -> Iterator[None]:
+    """A Prefect server for a cluster's workers, with a login that only they know; it ends with the work."""
+    from prefect.server.api.server import SubprocessASGIServer  # seconds of imports, for a cluster alone
+
+    login = running.new_login()
+    keep_private(Path(str(PREFECT_HOME.value())) / running.DATABASE)
+    with (
+        temporary_settings({PREFECT_API_AUTH_STRING: login, PREFECT_SERVER_API_AUTH_STRING: login}),
+        SubprocessASGIServer() as started,
+        temporary_settings({PREFECT_API_URL: started.api_url}),
+    ):
+        yield
 
 
 def _dask(cluster: str) -> TaskRunner[Any]:

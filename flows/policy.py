@@ -7,10 +7,9 @@ if __name__ == "__main__":
 
 from pathlib import Path
 
-from prefect import flow
-
 from flows import provenance
 from flows.fan_out import fan_out
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.types import SimgapError
 from tasks import fingerprint, policy
@@ -30,7 +29,9 @@ def run(source: str, params: Params, root: Path) -> None:
     tags, store = provenance.tags(workspace, workspace.models), provenance.store(EXPERIMENT)
     with grid_run(store, f"policies-{source}", params.policy.model_dump(), tags) as parent:
         progress.say(f"MLflow: {links.to_run(store, parent.run_id)}")
-        grid = policy.Grid(parent, tags, fingerprint.code_digest(fingerprint.POLICY))
+        grid = policy.Grid(
+            parent, tags, *map(fingerprint.code_digest, (fingerprint.POLICY, fingerprint.POLICY_RESIDUAL))
+        )
         work = {(workspace, cell): {"params": params.policy, "grid": grid} for cell in cells}
         failed = fan_out(f"policy on {source}", policy.learn_policy, work, params.policy.workers)
         if failed:

@@ -7,8 +7,7 @@ if __name__ == "__main__":
 
 from pathlib import Path
 
-from prefect import flow
-
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.formats.folders import remove_folder
 from tasks import recordings

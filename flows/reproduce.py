@@ -9,9 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
-
 from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.types import SimgapError
 from tasks.diagnose import PAGE

@@ -8,9 +8,8 @@ if __name__ == "__main__":
 import time
 from pathlib import Path
 
-from prefect import flow
-
 from flows import provenance
+from flows.flow import flow
 from simgap.cli import progress
 from tasks import score, train
 from tasks.params import Params

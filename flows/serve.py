@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import httpx
+from prefect import Flow
 from prefect.deployments.runner import RunnerDeployment
 from prefect.runner import Runner
 from prefect.types.entrypoint import EntrypointType
@@ -66,9 +67,9 @@ async def _serve(deployments: list[RunnerDeployment], runs: int) -> None:
 
 
 def made() -> list[RunnerDeployment]:
-    """Every deployment, its form filled in from params.yaml; those called small, from small.yaml besides."""
+    """Every deployment, its form filled in from params.yaml; those called small, from pipelines/small.yaml too."""
     found = []
-    for size, overrides in (("full", []), ("small", [read_yaml(Path("small.yaml"))])):
+    for size, overrides in (("full", []), ("small", [read_yaml(Path("pipelines/small.yaml"))])):
         params, rest = load_params(PARAMS, *overrides), forms.besides(overrides[0] if overrides else {})
         grid = forms.defaults(params, SOURCE)
         tracking = {"recordings": grid["recordings"], "policies": forms.policies(params)}
@@ -78,14 +79,19 @@ def made() -> list[RunnerDeployment]:
             (deployments.reproduce, {**whole, "overrides": rest}),
             (deployments.track, {**tracking, "overrides": rest}),
         ):
-            found.append(flow.to_deployment(size, parameters=values, entrypoint_type=EntrypointType.MODULE_PATH))
-    found.append(
-        deployments.diagnose_recordings.to_deployment(
-            "any", parameters={"recordings": f"data/{SOURCE}/recordings/training", "seed": params.diagnose.seed},
-            entrypoint_type=EntrypointType.MODULE_PATH,
-        )
-    )  # fmt: skip
+            made = _deployment(flow, f"{flow.name}-{size}", values)
+            # Prefect has no other way to a schema that depends on a file.
+            forms.with_sources(made._parameter_openapi_schema.definitions, list(params.recordings))
+            found.append(made)
+    asked = {"recordings": f"data/{SOURCE}/recordings/training", "seed": params.diagnose.seed}
+    found.append(_deployment(deployments.diagnose_recordings, "diagnose-folder", asked))
     return found
+
+
+def _deployment(flow: Flow[..., None], name: str, parameters: dict[str, Any]) -> RunnerDeployment:
+    made = flow.to_deployment(name, parameters=parameters, entrypoint_type=EntrypointType.MODULE_PATH)
+    assert isinstance(made, RunnerDeployment)  # not a coroutine: nothing runs here
+    return made
 
 
 if __name__ == "__main__":

@@ -29,14 +29,15 @@ from simgap.cli import progress
 from simgap.formats.documents import write_bytes
 from simgap.formats.folders import keep_private, make_folder
 from simgap.types import SimgapError
+from tasks.server import NONE
 
 DATABASE = Path("mlflow.db")
 _HEALTHY_S, _STOP_S, _POLL_S = 240.0, 20.0, 0.2
 _TAIL_LINES = 15
 _HERE = "127.0.0.1"
 _NAMES = ("prefect", "mlflow", "deployments")
-_LOGINS = ("PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING")
-"""Of the server that a command starts for itself: those started here have another login, or none."""
+_NOT_INHERITED = (*NONE, "PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING")
+"""What this command was told of another server, or of none."""
 
 
 class Server(NamedTuple):
@@ -173,7 +174,7 @@ def _start(server: Server, login: str | None) -> None:
             f"`make up {server.name.upper()}_PORT={server.port + 1}`, or end that program."
         )
     (LOGS / f"{server.name}.ready").unlink(missing_ok=True)
-    inherited = {name: value for name, value in os.environ.items() if name not in _LOGINS}
+    inherited = {name: value for name, value in os.environ.items() if name not in _NOT_INHERITED}
     with (LOGS / f"{server.name}.log").open("ab") as log:
         process = psutil.Popen(
             server.command, env={**inherited, **server.environment}, stdin=subprocess.DEVNULL, stdout=log,

@@ -4,17 +4,14 @@ Nothing heavy is imported here: what is wrong with a command is said before Pref
 """
 
 import argparse
-import os
 import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flows import running
 from flows.errors import guarded
 from flows.locks import alone, held
 from simgap.formats.atomic import remove_unfinished
-from simgap.formats.folders import keep_private
 from simgap.formats.sessions import session_files
 from simgap.types import ConfigError
 from tasks.workspace import Workspace
@@ -41,7 +38,7 @@ def main(stage: str, description: str | None) -> NoReturn:
 
         params = load_params(PARAMS, *read_overrides(arguments))
         params.source(arguments.source)
-        flow = prepared(stage)
+        flow = import_module(stage)
         with held(Workspace(Path(), arguments.source).lock):
             for folder in FOLDERS:
                 remove_unfinished(folder)
@@ -69,19 +66,12 @@ def main_apart(stage: str, description: str | None) -> NoReturn:
 
         params = load_params(PARAMS, *read_overrides(arguments), *([own] if arguments.recordings else []))
         params.source(arguments.source)
-        flow = prepared(stage)
+        flow = import_module(stage)
         with alone(arguments.workspace, arguments.source):
             flow.run(arguments.source, params, arguments.workspace)
 
     guarded(work)
     sys.exit(0)
-
-
-def prepared(stage: str) -> Any:
-    """The module of a flow, imported; a flow without a server starts one, whose database is for its owner alone."""
-    if "PREFECT_API_URL" not in os.environ:
-        keep_private(Path(os.environ["PREFECT_HOME"]) / running.DATABASE)
-    return import_module(stage)
 
 
 def check_files(*paths: Path) -> None:

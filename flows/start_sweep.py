@@ -2,11 +2,12 @@
 
 import argparse
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
 from flows.errors import guarded
-from flows.start import PARAMS, check_files, prepared
+from flows.start import PARAMS, check_files
 from simgap.formats.sessions import session_files
 
 
@@ -48,4 +49,4 @@ def _sweep(given: argparse.Namespace) -> None:
     for name in ("models", "noises", "sample_sizes", "seeds"):
         asked[name] = getattr(given, name) or asked[name]
     asked["hyperparameters"] = forms.read_values(given.values)
-    prepared("flows.sweep").start(given.name, asked)
+    import_module("flows.sweep").start(given.name, asked)

@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
-from prefect.runtime import flow_run
+from prefect.utilities.names import generate_slug
 
 from flows import provenance, transitions
 from flows import recordings as recordings_flow
 from flows.fan_out import Place
+from flows.flow import flow
 from flows.locks import alone
 from flows.start import PARAMS
 from flows.train import told, train_cells
@@ -22,7 +22,7 @@ from simgap.cli import progress
 from simgap.formats.documents import write_json
 from simgap.types import SimgapError
 from tasks import artifacts, forms, score, sweep
-from tasks.forms import Hyperparameters, Models, Noises, Recordings, SampleSizes, Seeds
+from tasks.forms import Hyperparameters, Models, Noises, Recordings, RunName, SampleSizes, Seeds
 from tasks.params import Params, load_params
 from tasks.tracking import links
 from tasks.tracking.runs import Run, grid_run
@@ -30,8 +30,9 @@ from tasks.tracking.store import Store
 from tasks.workspace import Workspace
 
 
-@flow(name="sweep")
+@flow(name="sweep", flow_run_name="{name}")
 def run(
+    name: RunName,
     recordings: Recordings,
     models: Models,
     noises: Noises,
@@ -41,9 +42,9 @@ def run(
 ) -> None:
     """Train and score every combination; the best is registered in MLflow.
 
-    The run's name is the sweep's: what was finished under it before is not repeated.
-
     Args:
+        name: The run's name, here and in MLflow, and its folder in sweeps/; letters, digits, dashes and underscores. A
+            name that exists goes on where it stopped.
         recordings: What to learn from, and what to judge by.
         models: How to learn.
         noises: Families of the learned likelihood.
@@ -51,7 +52,6 @@ def run(
         seeds: Each draws other transitions, networks and simulators.
         hyperparameters: Values to try, block by block; every combination is trained.
     """
-    name = str(flow_run.get_name())
     root = forms.folder(name)
     grid = {"models": models, "noises": noises, "sample_sizes": sample_sizes, "seeds": seeds}
     base = [recordings.overrides(load_params(PARAMS)), {"train": grid}]
@@ -108,7 +108,7 @@ def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: Store, paren
     linked = sweep.table(rows, lambda row: f"[MLflow]({links.to_run(store, row.run_id)})")
     artifacts.table("sweep-results", linked, f"Sweep {name}, best first. Best: {best.title}.")
     places = {"MLflow": links.to_run(store, parent.run_id),
-              "compare": links.to_comparison(store, name, f"tags.sweep = '{name}'", links.MODEL_COLUMNS),
+              "compare": links.to_comparison(store, name, f"tags.sweep = '{name}'", links.MODEL_RESULTS),
               "folder": str(forms.folder(name))}  # fmt: skip
     artifacts.links("sweep-links", places, f"Sweep {name}")
     progress.table(f"sweep {name}", sweep.table(rows, lambda row: row.run_id))
@@ -117,6 +117,5 @@ def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: Store, paren
 
 
 def start(name: str, arguments: dict[str, Any]) -> None:
-    """A sweep in this process, under a name of one's own or one that Prefect makes up."""
-    named = run.with_options(flow_run_name=name) if name else run
-    named(**arguments)
+    """A sweep in this process, under a name of one's own or one that is made up."""
+    run(name=forms.check_name(name) if name else generate_slug(2), **arguments)

@@ -8,10 +8,9 @@ if __name__ == "__main__":
 import time
 from pathlib import Path
 
-from prefect import flow
-
 from flows import policy as policy_flow
 from flows import provenance
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.formats.folders import remove_folder
 from simgap.policies.follow import Run

@@ -9,10 +9,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from prefect import flow
-
 from flows import provenance
 from flows.fan_out import Place, fan_out
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.formats.folders import remove_file
 from simgap.types import SimgapError

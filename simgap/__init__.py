@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from simgap.api import diagnose, load
+    from simgap.loading.model_files import ModelFile
     from simgap.result import Effect, Result
     from simgap.simulators.refitted import nominal
     from simgap.types import Field, Parameter, Recording, Schema, SimgapError, StepModel
 
 __all__ = [
-    "Effect", "Field", "Parameter", "Recording", "Result", "Schema", "SimgapError", "StepModel", "diagnose", "load",
-    "nominal",
+    "Effect", "Field", "ModelFile", "Parameter", "Recording", "Result", "Schema", "SimgapError", "StepModel",
+    "diagnose", "load", "nominal",
 ]  # fmt: skip
 _HOMES = {
     "simgap.api": ("diagnose", "load"),
+    "simgap.loading.model_files": ("ModelFile",),
     "simgap.result": ("Effect", "Result"),
     "simgap.simulators.refitted": ("nominal",),
     "simgap.types": ("Field", "Parameter", "Recording", "Schema", "SimgapError", "StepModel"),

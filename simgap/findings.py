@@ -101,8 +101,8 @@ def _of_rates(rates: Mapping[str, survey.Rate], time_step: float) -> Iterator[st
 def _of_repeats(found: Sequence[Repeat]) -> Iterator[str]:
     whole = [f"{r.second} (as {r.first})" for r in found if r.rows == r.of]
     if whole:
-        yield (f"{len(whole)} sessions are there twice: {_some(whole)}. Remove one of each: held-out sessions must be "
-               "ones that nothing was fitted to.")  # fmt: skip
+        yield (f"Sessions that are there twice: {_some(whole)}. Remove one of each: held-out sessions must be ones "
+               "that nothing was fitted to.")  # fmt: skip
     parts = [f"{r.first} and {r.second} ({r.rows:,} rows)" for r in found if r.rows < r.of]
     if parts:
         yield (f"Sessions overlap, they have rows in common: {_some(parts)}. Cut them so that no row is there twice.")

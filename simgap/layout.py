@@ -42,8 +42,34 @@ class Layout:
 
     @cached_property
     def command(self) -> np.ndarray:
-        """Commands that drive an axis: velocities and forces."""
+        """Commands in which a push can enter: velocities and forces."""
         return self._table([(i, f) for i, f in enumerate(self.schema.command) if f.kind in ("velocity", "force")])
+
+    @cached_property
+    def driven(self) -> np.ndarray:
+        """Commands that drive an axis, set positions among them."""
+        return self._table(list(enumerate(self.schema.command)))
+
+    @cached_property
+    def joints(self) -> frozenset[str]:
+        """Bodies that an engine can push by a force or torque along one axis."""
+        return frozenset(f.body for f in self.schema.state if f.effort)
+
+    @cached_property
+    def jointed(self) -> bool:
+        """Whether every axis that can be pushed is a joint's: the machine has no body that moves freely."""
+        moving = [b for b, row in enumerate(self.velocity) if (row >= 0).any()]
+        return bool(moving) and all(self.bodies[b] in self.joints for b in moving)
+
+    def single(self, body: int) -> bool:
+        """Whether a body moves along one axis alone, by itself: its motion needs no name of a direction."""
+        axes = ((self.velocity[body] >= 0) | (self.position[body] >= 0)).sum()
+        return bool(axes == 1) and self.carrier[body] is None
+
+    @cached_property
+    def observed(self) -> np.ndarray:
+        """Which states recordings have as columns: the first of all."""
+        return np.array([f.observed for f in self.schema.state])
 
     @cached_property
     def carrier(self) -> tuple[int | None, ...]:
@@ -82,9 +108,10 @@ class Layout:
         """Pairs of states (i, j) that move together in the bodies' own frames, so that one measured tells of the other.
 
         Those of one axis: a body carries what is mounted on it, and a velocity moves its position. And yaw with what
-        lies across, for a body that turns sweeps the arm that reaches ahead of it.
+        lies across, for a body that turns sweeps the arm that reaches ahead of it. A joint's axis is its own.
         """
-        kin = [{"yaw": "y"}.get(f.axis, f.axis) if f.body else "" for f in self.schema.state]
+        axis = [{"yaw": "y"}.get(f.axis, f.axis) if f.body else "" for f in self.schema.state]
+        kin = [f.body if f.body in self.joints else a for f, a in zip(self.schema.state, axis, strict=True)]
         return tuple((i, j) for i, a in enumerate(kin) for j, b in enumerate(kin) if i != j and a and a == b)
 
     def _same_frame(self, p: int, v: int) -> bool:

@@ -1,19 +1,22 @@
 """The result of a diagnosis, for Python and for notebooks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from simgap.diagnosis.diagnose import Diagnosis
 from simgap.effects.regime import Acting
+from simgap.engines import Engine
 from simgap.formats import diagnoses
 from simgap.formats.documents import write_bytes, write_text
 from simgap.formats.folders import make_folder
+from simgap.loading.load import Used
 from simgap.page import diagnosis as pages
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.types import ConfigError, StepModel
@@ -54,13 +57,24 @@ class Result:
     folder were not used.
     """
 
-    diagnosed: StepModel
+    diagnosed: StepModel | Engine
     found: Diagnosis
     left_out: tuple[str, ...] = ()
 
+    @staticmethod
+    def of(used: Used, found: Diagnosis, left_out: Sequence[str]) -> "Result":
+        """The diagnosis of a simulator; that of a model file also in the model's own terms."""
+        if used.model_file is None:
+            return Result(used.simulator, found, tuple(left_out))
+        from simgap.simulators.mujoco import account
+
+        engine, file = cast(Any, used.simulator), f"{Path(used.name).stem}{diagnoses.PATCHED}"
+        told = account.account(engine, found.model, found.statement, file) | {"model_file": used.model_file}
+        return Result(engine, found._replace(statement=told), tuple(left_out))
+
     @property
     def statement(self) -> dict[str, Any]:
-        """All that was found, as `diagnosis.json` holds it (docs/diagnosis.md)."""
+        """All that was found, as `diagnosis.json` holds it (docs/reference/diagnosis_json.md)."""
         return self.found.statement
 
     @property
@@ -103,10 +117,19 @@ class Result:
         return page
 
     def save(self, folder: str | PathLike[str]) -> None:
-        """Write `diagnosis.json`, `diagnosis.html`, `augmented.npz`, from which `simgap.load` makes the simulator, and
-        `experiment.csv`, where there is an experiment to make."""
+        """Write `diagnosis.json`, `diagnosis.html`, `augmented.npz`, from which `simgap.load` makes the simulator;
+        `experiment.csv`, where there is an experiment to make; and a model file with what was found written into it."""
         make_folder(Path(folder))
-        diagnoses.write(Path(folder), self.found, self.to_html(), self.diagnosed.schema)
+        diagnoses.write(Path(folder), self.found, self.to_html(), self.diagnosed.schema, self._models(Path(folder)))
+
+    def _models(self, folder: Path) -> dict[str, str]:
+        """Model files with what was found written into them, for a folder, by name."""
+        if not self.statement.get("patched"):
+            return {}
+        from simgap.simulators.mujoco import account
+
+        found = account.patched(cast(Any, self.diagnosed), self.found.model, self.statement, folder)
+        return {self.statement["patched"]["file"]: found.xml}
 
     def plot(self, what: Literal["forecasts", "laws", "sessions", "experiment"] = "forecasts") -> list[Picture]:
         """Pictures of the page: forecasts of held-out sessions against what was measured, the effects' laws over the

@@ -10,8 +10,9 @@ from jax.scipy.special import betainc, logsumexp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
-from simgap.models import Model, mean, predict
+from simgap.models import mean
 from simgap.noise import gaussian_log_density, student_t_log_density
+from simgap.prediction import Model, predict, steady
 from simgap.recordings import HISTORY, decode_state, encode_state
 from simgap.types import Prediction, Recording, Schema, Transitions
 
@@ -84,12 +85,12 @@ def rollout(
 
     `commands` are those sent, from HISTORY rows before the start on.
     """
-    particles = predict(model, jnp.zeros(len(schema.encoded) + (HISTORY + 1) * commands.shape[1])).mean.shape[0]
+    particles = steady(model, jnp.zeros(len(schema.encoded) + (HISTORY + 1) * commands.shape[1])).shape[0]
     history = jnp.stack([commands[k : len(commands) - HISTORY + k] for k in range(HISTORY + 1)], axis=1)
 
     def advance(l: Array, state: Array, u: Array) -> tuple[Array, Array]:  # noqa: E741
         encoded = encode_state(schema, state)
-        change = predict(model, jnp.concatenate([encoded, u.reshape(-1)])).mean[l]
+        change = steady(model, jnp.concatenate([encoded, u.reshape(-1)]))[l]
         state = decode_state(schema, encoded + change)
         return state, state
 

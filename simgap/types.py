@@ -44,6 +44,9 @@ class Field:
     `body` and `axis` say of which moving part it is and along which axis (`yaw`: about the vertical): a velocity
     changes the position of the same body and axis, a command drives the velocity of the same body and axis. Without
     them, effects that need geometry do not apply.
+
+    observed: whether recordings have it as a column. A state that is not observed is estimated; these come last.
+    effort: unit of the force or torque that an engine can apply along this velocity (see `simgap.engines`).
     """
 
     name: str
@@ -52,6 +55,8 @@ class Field:
     frame: Frame
     body: str = ""
     axis: Axis = ""
+    observed: bool = True
+    effort: str = ""
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,17 @@ class Schema:
     @property
     def columns(self) -> tuple[str, ...]:
         """All columns a recording file must have, `time_s` first."""
-        return ("time_s", *(f.name for f in self.state), *(f.name for f in self.command))
+        return ("time_s", *(f.name for f in self.outputs), *(f.name for f in self.command))
+
+    @property
+    def outputs(self) -> tuple[Field, ...]:
+        """The states that recordings have as columns: the first of all."""
+        return tuple(f for f in self.state if f.observed)
+
+    @property
+    def measured(self) -> Schema:
+        """This schema without the states that recordings lack: that of the recordings' own columns."""
+        return Schema(self.outputs, self.command, self.mounts)
 
     @property
     def encoded(self) -> tuple[str, ...]:

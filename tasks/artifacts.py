@@ -1,6 +1,6 @@
 """What a flow run shows in Prefect's pages beside its log: how far it is, a table, links.
 
-A server that is gone costs the pages these, and the run nothing.
+A server that is gone, or none, costs the pages these, and the run nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +16,7 @@ from prefect.artifacts import (
 )
 
 from simgap.cli import progress
+from tasks import server
 
 
 class Progress:
@@ -49,7 +50,9 @@ def links(key: str, places: dict[str, str], description: str) -> None:
 
 
 def _tell(call: Callable[[], Any]) -> Any:
-    """What telling Prefect's server gives; None where the server is gone, which is said."""
+    """What telling Prefect's server gives; None where there is none, or where it is gone, which is said."""
+    if not server.there():
+        return None
     try:
         return call()
     except httpx.HTTPError as error:

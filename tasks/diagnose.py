@@ -8,6 +8,7 @@ from typing import Any
 from prefect import task
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
+from simgap.engines import Engine
 from simgap.formats import diagnoses, purposes
 from simgap.formats.diagnoses import EXPERIMENT, MODEL, PAGE, STATEMENT
 from simgap.formats.purposes import Folders
@@ -20,13 +21,15 @@ from tasks.tracking.runs import Run
 
 
 @task(task_run_name="read-{folders.recordings.name}")
-def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
+def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, list[str]]:
     """The sessions by their purpose, and what was wrong with those left out; errors as `purposes.read` has them."""
     return purposes.read(folders, simulator)
 
 
 @task(task_run_name="diagnose-{name}")
-def find(simulator: StepModel, name: str, sessions: Sessions, seed: int, say: Callable[[str], None]) -> Diagnosis:
+def find(
+    simulator: StepModel | Engine, name: str, sessions: Sessions, seed: int, say: Callable[[str], None]
+) -> Diagnosis:
     """What the simulator called `name` leaves out; `say(line)` tells what is being tried."""
     return diagnose(simulator, name, sessions, seed, say)
 
@@ -40,7 +43,8 @@ def write(folder: Path, found: Diagnosis, schema: Schema) -> None:
 @task(task_run_name="log-recordings-{name}", retries=1)
 def log_recordings(run: Run, name: str, folders: Folders, sessions: Sessions, seed: int) -> None:
     """What is diagnosed, before it is: a run that fails says as much."""
-    run.tags({"config": fingerprint.configuration_of_diagnosis(name, folders, seed)})
+    places = [folders.recordings, folders.heldout, folders.baseline]
+    run.tags({"config": fingerprint.configuration_of_diagnosis(name, places, seed)})
     run.params(
         {
             "simulator": name,

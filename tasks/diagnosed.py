@@ -89,6 +89,15 @@ def find(
                               "scattered": [s.id for s in found.scattered]})  # fmt: skip
 
 
+def seen(workspace: Workspace, share: Share, time_step: float) -> list[Recording]:
+    """The sessions that a share's diagnosis sees, the last one cut; RecordingError where one cannot be used."""
+    recordings, errors = read_recordings(workspace.recordings / "training", SCHEMA, time_step)
+    if errors:
+        raise errors[0]
+    used = sessions(recordings, share)
+    return [*used.training, *used.heldout]
+
+
 def load(workspace: Workspace, share: Share) -> Found:
     """What `find` found; SimgapError when it has not been run."""
     simulator = augmented_spot(load_arrays(workspace.augmented(share)))

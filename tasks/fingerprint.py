@@ -17,25 +17,36 @@ TRAINING = ("simgap.learn",)
 """Where the code of training begins."""
 AUGMENTED = (*TRAINING, "simgap.simulators.augmented")
 """The same for models that are given a diagnosed simulator."""
+RESIDUAL = (*AUGMENTED, "simgap.residual.learn")
+"""The same where the residual is learnt."""
 DIAGNOSIS = ("simgap.diagnosis.inference.explain",)
 """Where the code that finds effects begins."""
 WHOLE_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.simulators.spot")
 """Where the code that an examination examines begins."""
+MODEL_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.loading.model_files", "simgap.simulators.mujoco.account")
+"""The same of an examination on machines of which there is a model file."""
 POLICY = ("simgap.policies.learn", "simgap.policies.environment", "simgap.policies.actor")
 """Where the code that learns a policy begins."""
+POLICY_RESIDUAL = (*POLICY, "simgap.policies.residual_spot")
+"""The same in a model with a residual."""
 
 
 class Codes(NamedTuple):
-    """Digests of the code of training, of training with a diagnosed simulator, and of the diagnosis."""
+    """Digests of the code of training, with a diagnosed simulator, with a residual; and of the diagnosis."""
 
     training: str
     augmented: str
+    residual: str
     diagnosis: str
+
+    def of(self, cell: Cell) -> str:
+        """Of what trains the cell."""
+        return self.residual if cell.method == "residual" else self.augmented if cell.share else self.training
 
 
 def codes() -> Codes:
     """Call it before tasks fan out: the parser of Python 3.11 does not bear several threads."""
-    return Codes(code_digest(TRAINING), code_digest(AUGMENTED), code_digest(DIAGNOSIS))
+    return Codes(*map(code_digest, (TRAINING, AUGMENTED, RESIDUAL, DIAGNOSIS)))
 
 
 def fingerprint(
@@ -94,15 +105,17 @@ def relevant_params(cell: Cell, params: TrainParams) -> dict[str, Any]:
     """The share of the parameters that a cell's result depends on."""
     if cell.method == "sim_model":
         return asdict(params.sim_model)
+    if cell.method == "residual":
+        return {**asdict(params.bnn), "residual": asdict(params.residual)}
     prior = params.fsvgd if cell.method == "fsvgd" else params.sim_fsvgd
     return {**asdict(params.bnn), "prior": asdict(prior)}
 
 
 @cache
-def diagnosing_code() -> str:
-    """Digest of all the code that an examination examines, made once a process: call it before a flow begins, whose
-    threads the parser of Python 3.11 does not bear."""
-    return code_digest(WHOLE_DIAGNOSIS)
+def diagnosing_code(model_file: bool) -> str:
+    """Digest of all the code that an examination examines, of the Spot's model or of model files, made once a process:
+    call it before a flow begins, whose threads the parser of Python 3.11 does not bear."""
+    return code_digest(MODEL_DIAGNOSIS if model_file else WHOLE_DIAGNOSIS)
 
 
 def modules_of(roots: Sequence[str]) -> list[Path]:

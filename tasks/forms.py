@@ -10,10 +10,11 @@ from itertools import product
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
 from simgap import fsvgd, identify, priors
 from simgap.formats.validation import check
+from simgap.residual import config
 from simgap.types import ConfigError
 from tasks import names
 from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
@@ -22,6 +23,29 @@ from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, Name, SampleS
 SWEEPS = Path("sweeps")
 """Where whatever is not `dvc repro` writes; git and DVC leave it alone."""
 
+_ALIASES = r"[Ll]atest|[Nn]ewest|[Vv][0-9]+"
+"""Names of versions that MLflow uses itself, or that are given to the last one."""
+
+
+def check_name(name: str) -> str:
+    """The name of a run as it is; ConfigError where it is no folder's, or an alias of MLflow's own."""
+    if re.fullmatch(_ALIASES, name, re.IGNORECASE):
+        raise ConfigError(f"The run's name is {name!r}, an alias that MLflow uses itself. Give another name.")
+    return names.check(name, "the run's name")
+
+
+RunName = Annotated[
+    str,
+    AfterValidator(check_name),
+    Field(
+        json_schema_extra={
+            "pattern": f"^{names.PATTERN}$",
+            "maxLength": names.LONGEST,
+            "not": {"pattern": f"^({_ALIASES})$"},
+        }
+    ),
+]
+"""Of a run, of its folder under `sweeps/` and in MLflow; the form refuses what `check_name` does."""
 Models = Annotated[list[ModelName], Field(min_length=1)]
 Noises = Annotated[list[NoiseName], Field(min_length=1)]
 SampleSizes = Annotated[list[SampleSize], Field(min_length=1)]
@@ -103,6 +127,7 @@ _BLOCKS = {
     "fsvgd": priors.Config,
     "sim_fsvgd": priors.SimulatorConfig,
     "sim_model": identify.Config,
+    "residual": config.Config,
 }
 Hyperparameters = create_model(
     "Hyperparameters", __base__=_Form, __doc__="Values to try, block by block; every combination is trained.",
@@ -126,6 +151,11 @@ def defaults(params: Params, source: str) -> dict[str, Any]:
             for block, config in _BLOCKS.items()
         },
     }
+
+
+def with_sources(schema: dict[str, Any], sources: Sequence[str]) -> None:
+    """Let the schema of a flow's form, its definitions, offer these sources as a choice."""
+    schema["Recordings"]["properties"]["source"]["enum"] = list(sources)
 
 
 def besides(overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -193,16 +223,13 @@ def read_values(texts: Sequence[str]) -> BaseModel:
 
 
 def _listed(key: str, values: str) -> list[Any]:
-    if key == "hidden_layer_sizes":  # 64x64,128x128
-        return [value.split("x") for value in values.split(",")]
-    return values.split(",")
+    several = key in ("hidden_layer_sizes", "outputscales", "lengthscales", "paces")  # 64x64,128x128
+    return [value.split("x") if several else value for value in values.split(",")]
 
 
 def folder(name: str) -> Path:
     """The folder of a run under `sweeps/`; ConfigError where the name would lead out of it, or hide."""
-    if re.fullmatch(r"latest|newest|v\d+", name, re.IGNORECASE):
-        raise ConfigError(f"The run's name is {name!r}, an alias that MLflow uses itself. Give another name.")
-    return SWEEPS / names.check(name, "the run's name")
+    return SWEEPS / check_name(name)
 
 
 def inside(path: Path | str) -> Path:

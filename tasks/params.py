@@ -10,6 +10,7 @@ from simgap import fsvgd, identify, priors
 from simgap.formats.validation import explained
 from simgap.formats.yaml_files import read_yaml
 from simgap.policies import environment, follow, learn, references, sac
+from simgap.residual import config
 from simgap.types import ConfigError
 from tasks.ranges import (
     Cases,
@@ -24,7 +25,9 @@ from tasks.ranges import (
     Rate,
     SampleSize,
     Seed,
+    SessionFiles,
     SessionLength,
+    SessionRows,
     Sessions,
     Share,
     Speed,
@@ -34,7 +37,9 @@ from tasks.ranges import (
     Workers,
 )
 
-ModelName = Literal["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
+ModelName = Literal[
+    "sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed"
+]
 NoiseName = Literal["gaussian", "student_t"]
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -70,6 +75,7 @@ class TrainParams(Strict):
     sim_model: Annotated[identify.Config, Ranged()]
     fsvgd: Annotated[priors.Config, Ranged()]
     sim_fsvgd: Annotated[priors.SimulatorConfig, Ranged()]
+    residual: Annotated[config.Config, Ranged()]
 
 
 class ScoreParams(Strict):
@@ -103,7 +109,7 @@ class ProportionalParams(Strict):
 class TrackParams(Strict):
     seed: Seed = Field(description="Seed of the robot's noise.")
     robot_limit: tuple[Speed, Speed, Speed, Speed, Speed, Speed] = Field(
-        description="Greatest commands that the robot admits."
+        description="Greatest commands that the robot admits [m/s, rad/s]."
     )
     ellipse: Annotated[references.Ellipse, Ranged()]
     helix: Annotated[references.Helix, Ranged()]
@@ -137,17 +143,28 @@ class Params(Strict):
         return self.recordings[name]
 
 
+class ArmParams(Strict):
+    """What the suite of arms holds."""
+
+    nulls: Cases = Field(description="Cases without an effect.")
+    repeats: Cases = Field(description="Cases of every cause.")
+    causes: list[str] = Field(description="By what a person would say; empty: all there are.")
+    parts: Parts = Field(description="Stratified samples that the suite is dealt out into.")
+    sessions: SessionFiles = Field(description="Sessions of a case, which are files from a to z.")
+    rows: SessionRows = Field(description="Rows of a session, 50 a second.")
+
+
 class ConcealParams(Strict):
     """What a suite holds; counts of cases, strengths in nats."""
 
     seed: Seed = Field(description="Seed of the development suite; an examination's comes from the diagnosing code.")
     round: Cases = Field(description="Which examination of the same code.")
-    nulls: Cases
+    nulls: Cases = Field(description="Cases without an effect.")
     effects: list[str] = Field(description="Ids of single effects; empty: all there are.")
     strengths: list[Strength] = Field(description="A case of every effect at each.")
-    duel_strengths: list[Strength]
-    pairs: Cases
-    triples: Cases
+    duel_strengths: list[Strength] = Field(description="A case of both sides of every pair that is easily confused.")
+    pairs: Cases = Field(description="Cases of two effects.")
+    triples: Cases = Field(description="Cases of three effects.")
     regimes: Cases = Field(description="Effects that act in a regime only.")
     onsets: Cases = Field(description="Effects that act from a time on only.")
     outside_strengths: list[Strength] = Field(description="A case of every law outside the vocabulary at each.")
@@ -156,6 +173,7 @@ class ConcealParams(Strict):
     poor: Share = Field(description="Of all cases: poor excitation.")
     glitches: Share = Field(description="Of all cases: glitches in what is measured.")
     real: FolderParams = Field(description="Recordings of a real Spot, for the suite of that name.")
+    arm: ArmParams = Field(description="The suite of that name.")
 
 
 class ExamineParams(Strict):
@@ -167,16 +185,34 @@ class ExamineParams(Strict):
 
 class SealedScoreParams(Strict):
     seed: Seed = Field(description="Seed of bootstrap intervals.")
-    figure_dpi: Dpi
-    pictures: Cases = Field(description="Failures that are drawn.")
+    figure_dpi: Dpi = Field(description="Dots per inch.")
+    pictures: Cases = Field(description="Failures of an examination that are drawn.")
 
 
 class SealedParams(Strict):
-    """The whole of sealed/params.yaml."""
+    """The whole of pipelines/sealed/params.yaml."""
 
     conceal: ConcealParams
     examine: ExamineParams
     score: SealedScoreParams
+
+
+class ExternalCase(Strict):
+    """A machine that nobody here made, and what its makers say is left out of a simple simulator of it."""
+
+    name: Name = Field(description="Name of the machine in the table of runs.")
+    simulator: str = Field(description="`module:name`, or the path of an MJCF or URDF in the folder.")
+    recordings: list[str] = Field(min_length=1, description="Glob patterns of sessions in the folder.")
+    heldout: list[str] = Field(default=[], description="Of sessions to judge by; none: every fourth of the others.")
+    causes: list[list[str]] = Field(description="What is left out: of every cause, the effects that name it rightly.")
+
+
+class ExternalParams(Strict):
+    """The whole of pipelines/external/params.yaml."""
+
+    seed: Seed = Field(description="Seed of what a diagnosis draws.")
+    folder: Path = Field(description="Folder of the machines' recordings, absolute or from the project's root.")
+    cases: list[ExternalCase] = Field(description="The machines.")
 
 
 def _merge(base: Any, overrides: Any) -> Any:
@@ -193,6 +229,11 @@ def load_params(path: Path, *overrides: Mapping[str, Any]) -> Params:
 def load_sealed(path: Path, *overrides: Mapping[str, Any]) -> SealedParams:
     """The same of the sealed suites' file."""
     return _load(path, SealedParams, overrides)
+
+
+def load_external(path: Path, *overrides: Mapping[str, Any]) -> ExternalParams:
+    """The same of the file of external machines."""
+    return _load(path, ExternalParams, overrides)
 
 
 def _load(path: Path, model: type[_Model], overrides: Sequence[Mapping[str, Any]]) -> _Model:

@@ -1,5 +1,6 @@
 """The one door to matplotlib: figures as files."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,11 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from PIL import Image
+
+from simgap.formats.documents import write_bytes
 
 LABELS = {
     "sim_model": "SIM-MODEL",
@@ -18,6 +23,7 @@ LABELS = {
     "fsvgd": "FSVGD",
     "sim_fsvgd": "Sim-FSVGD",
     "sim_fsvgd_diagnosed": "Sim-FSVGD + diagnosed",
+    "residual_diagnosed": "Diagnosed + residual",
 }
 NOISES = {"gaussian": "Gaussian noise (the paper's)", "student_t": "Student's t noise"}
 # Colour, marker, line; a model that is given a diagnosis in the hue of its twin, dashed, its markers hollow.
@@ -27,6 +33,7 @@ STYLE = {
     "fsvgd": ("#d1722d", "^", "-"),
     "sim_fsvgd": ("#1f5fa8", "o", "-"),
     "sim_fsvgd_diagnosed": ("#3f95e0", "o", "--"),
+    "residual_diagnosed": ("#2a8a4a", "D", "--"),
 }
 _JITTER = 0.012  # of the N range, so that models' points do not hide each other
 
@@ -50,9 +57,18 @@ def against_n(
         fontsize="small",
     )
     figure.suptitle(title, fontweight="bold")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi, metadata={"Software": None})
+    save(figure, path, dpi)
+
+
+def save(figure: Figure, path: Path, dpi: int) -> None:
+    """Write a figure as PNG with a palette of 256 colours, a third of the size, as git keeps it; and close it."""
+    whole = io.BytesIO()
+    figure.savefig(whole, dpi=dpi)
     plt.close(figure)
+    small = io.BytesIO()
+    palette = Image.open(whole).convert("RGB").quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette.save(small, "PNG", optimize=True)
+    write_bytes(path, small.getvalue())
 
 
 def seeds_and_spread(ax: Axes, rows: Sequence[dict[str, Any]], score: str) -> None:

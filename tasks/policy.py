@@ -1,12 +1,13 @@
 """Stage `policy`: one policy a model of the grid, learnt inside it."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 from prefect import task
 
+from simgap import models
 from simgap.formats.arrays import load_arrays, save_arrays
 from simgap.formats.documents import read_json, write_json
 from simgap.formats.folders import remove_file
@@ -14,7 +15,9 @@ from simgap.policies import learn
 from simgap.policies.actor import Actor
 from simgap.policies.environment import LearntSpot, box
 from simgap.policies.learn import Training
+from simgap.policies.residual_spot import ResidualSpot
 from simgap.recordings import HISTORY
+from simgap.residual.model import ResidualModel
 from simgap.simulators.spot import SCHEMA
 from simgap.types import Report
 from tasks import transitions
@@ -30,11 +33,17 @@ from tasks.workspace import Cell, Workspace
 
 
 class Grid(NamedTuple):
-    """What the policies share: the run of the whole grid in MLflow, its tags, the digest of the code."""
+    """What the policies share: the run of the whole grid in MLflow, its tags, the digest of the code, and that of the
+    code that learns in a model with a residual."""
 
     run: Run
     tags: dict[str, str]
     code: str
+    residual_code: str
+
+    def code_of(self, cell: Cell) -> str:
+        """Of what learns the cell's policy."""
+        return self.residual_code if cell.method == "residual" else self.code
 
 
 def grid(params: PolicyParams) -> list[Cell]:
@@ -57,7 +66,7 @@ def learn_policy(
     """
     digest = transitions.digest(workspace)
     model = read_json(workspace.record(cell))["fingerprint"]
-    mark = of_policy(cell, model, digest, params, grid.code)
+    mark = of_policy(cell, model, digest, params, grid.code_of(cell))
     with job(cell.name, params.learning.environment_steps) as report:
         reused = finished(workspace.policy(cell), workspace.policy_record(cell), mark)
         if not reused:
@@ -72,7 +81,8 @@ def _learn(
 ) -> None:
     """Learn and write; the record comes last, so that a policy killed halfway has none and is gone on with."""
     model = jax.tree.map(jnp.asarray, load_model(workspace.model(cell)))
-    environment = LearntSpot(model, box(transitions.load(workspace, "training").x), params.environment)
+    kind = ResidualSpot if isinstance(model, ResidualModel) else LearntSpot
+    environment = kind(cast(models.Model, model), box(transitions.load(workspace, "training").x), params.environment)
     checkpoint = Checkpoint(workspace, cell, mark)
     resumed, curve, before = checkpoint.load(environment, params)
     start, keep = clock(), Curve(report, curve)
@@ -140,12 +150,13 @@ def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)
         run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
-        run.scores({name: record[name] for name in ("seconds", "steps", "return", "lost")})
+        known = {name: record[name] for name in ("steps", "return", "lost")}
+        run.scores({"training_seconds": record["seconds"], **known})
         log_policy(run, workspace.policy(cell), input_columns(), [field.name for field in SCHEMA.command])
 
 
 def input_columns() -> tuple[str, ...]:
-    """What a policy is told: the state, the commands two rows and one row before, the goal."""
+    """What a policy takes: the state, the commands two rows and one row before, the goal."""
     past = [f"{field.name}_{k}" for k in range(HISTORY, 0, -1) for field in SCHEMA.command]
     return (*(field.name for field in SCHEMA.state), *past, "goal_x", "goal_y", "goal_z")
 

@@ -4,6 +4,7 @@ As `tasks.pyfunc`: MLflow keeps this module's name and calls `_load_pyfunc`; ren
 """
 
 from pathlib import Path
+from typing import TypedDict
 
 import jax
 import numpy as np
@@ -14,7 +15,13 @@ from simgap.policies.actor import Actor
 from simgap.recordings import HISTORY
 from simgap.simulators.spot import SCHEMA
 from tasks.files.models import load_policy
-from tasks.pyfunc import Columns
+
+
+class Columns(TypedDict):
+    """The names of what goes into a policy and what comes out, in order."""
+
+    inputs: list[str]
+    outputs: list[str]
 
 
 class Commands:

@@ -1,27 +1,23 @@
-"""A dynamics model as MLflow loads it: a table of inputs to a table of means and standard deviations.
+"""A dynamics model of Spot as MLflow loads it: a session's table to a table of means and standard deviations.
 
 MLflow keeps this module's name in every logged model and calls `_load_pyfunc` with the stored file, so nothing is
 pickled: renaming the module, or that function, orphans the models logged before. It needs no MLflow itself.
 """
 
 from pathlib import Path
-from typing import TypedDict
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 from scipy.special import ndtr, stdtrit
 
-from simgap.models import Model, predict
+from simgap.prediction import Model, predict
+from simgap.recordings import encode_state
+from simgap.simulators.spot import SCHEMA
+from tasks import history
 from tasks.files.models import load_model
-
-
-class Columns(TypedDict):
-    """The names of a model's inputs x and outputs y, in order."""
-
-    inputs: list[str]
-    outputs: list[str]
 
 
 def noise_std(scale: Float[np.ndarray, " y"], dof: Float[np.ndarray, " y"]) -> Float[np.ndarray, " y"]:
@@ -36,29 +32,42 @@ def noise_std(scale: Float[np.ndarray, " y"], dof: Float[np.ndarray, " y"]) -> F
 class Dynamics:
     """A learnt model of the dynamics over tables, in original units."""
 
-    def __init__(self, model: Model, columns: Columns) -> None:
-        self._model, self._columns = model, columns
+    def __init__(self, model: Model) -> None:
+        self._model = model
 
     def predict(self, model_input: pd.DataFrame) -> pd.DataFrame:
-        """`mean_<output>` and `std_<output>`, a row for every row of the inputs.
+        """The change of the state to the next row, for every row of a session with the columns of a recording file.
 
+        Columns `mean_<output>` and `std_<output>`; an angle has its sine and cosine as outputs. Of the first two rows,
+        whose past commands are not there, nothing is predicted (NaN).
         std = sqrt(variance of the particles' means + noise_std^2): what is not known and what cannot be known.
+        Raises RecordingError as `tasks.history.rows` does.
         """
-        x = model_input[self._columns["inputs"]].to_numpy(np.float32)
-        mean, variance, scale, dof = (np.asarray(a, np.float64) for a in _moments(self._model, x))
+        rows = history.rows(SCHEMA, model_input)
+        mean, variance, scale, dof = (
+            np.asarray(a, np.float64) for a in _moments(self._model, rows.state, rows.commands)
+        )
         std = np.sqrt(variance + noise_std(scale, dof) ** 2)
-        outputs = self._columns["outputs"]
-        named = [f"mean_{o}" for o in outputs] + [f"std_{o}" for o in outputs]
-        return pd.DataFrame(np.hstack([mean, std]), columns=named, index=model_input.index)
+        values = np.where(rows.complete[:, None], np.hstack([mean, std]), np.nan)
+        return pd.DataFrame(values, columns=output_columns(), index=model_input.index)
+
+
+def output_columns() -> list[str]:
+    """Names of what is predicted."""
+    return [f"{moment}_{name}" for moment in ("mean", "std") for name in SCHEMA.encoded]
 
 
 @jax.jit
-def _moments(model: Model, x: Float[Array, "n x"]) -> tuple[Array, Array, Array, Array]:
+def _moments(
+    model: Model, state: Float[Array, "n s"], commands: Float[Array, "n 3 u"]
+) -> tuple[Array, Array, Array, Array]:
     """Mean and variance of the particles' means, scale and dof of the noise, each n by y."""
+    encoded = jax.vmap(lambda s: encode_state(SCHEMA, s))(state)
+    x = jnp.concatenate([encoded, commands.reshape(len(state), -1)], axis=1)
     p = jax.vmap(predict, in_axes=(None, 0))(model, x)
     return p.mean.mean(1), p.mean.var(1), p.scale, p.dof
 
 
-def _load_pyfunc(path: str, columns: Columns) -> Dynamics:
+def _load_pyfunc(path: str) -> Dynamics:
     """Called by MLflow, by this name."""
-    return Dynamics(load_model(Path(path)), columns)
+    return Dynamics(load_model(Path(path)))

@@ -46,6 +46,9 @@ Strength = Annotated[float, Field(gt=0, le=1_000_000)]
 Cases = Annotated[int, Field(ge=0, le=100_000)]
 Parts = Annotated[int, Field(ge=1, le=1000)]
 Part = Annotated[int, Field(ge=0, lt=1000)]
+SessionFiles = Annotated[int, Field(ge=2, le=26)]
+"""A letter each."""
+SessionRows = Annotated[int, Field(ge=50, le=100_000)]
 Patience = Annotated[float, Field(gt=0, le=604_800)]
 """At most a week [s]."""
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -76,8 +79,18 @@ RANGES: Mapping[str, Mapping[str, Any]] = {
     # priors.Config and SimulatorConfig
     "lengthscale": {"gt": 0, "le": 1000, "description": "Of the Gaussian process, on normalised inputs."},
     "outputscale": {"gt": 0, "le": 1000, "description": "Of the Gaussian process, on normalised outputs."},
-    "measurement_points": {"ge": 1, "le": 4096, "description": "Of a set, besides the batch."},
+    "measurement_points": {"ge": 1, "le": 4096, "description": "Points of a set, in addition to the batch."},
     "function_samples": {"ge": 2, "le": 100_000, "description": "Simulators drawn for the prior's moments."},
+    # residual.config.Config
+    "simulator_steps": {**_COUNT, "description": "Of the simulator's fit."},
+    "simulator_learning_rate": _RATE,
+    "simulator_batch": {"ge": 1, "le": 1_000_000},
+    "durations": {"ge": 1, "le": 100, "description": "Q, equally likely ones of a row."},
+    "outputscales": {"gt": 0, "le": 1000, "description": "Of the residual, to choose from."},
+    "lengthscales": {"gt": 0, "le": 1000, "description": "Of the residual, to choose from."},
+    "heldout_share": {**_BETWEEN, "description": "Of the N, in whole sessions, to choose by."},
+    "paces": {"gt": 0, "le": 100, "description": "Steps a row of a long prediction lasts, to choose from."},
+    "horizon": {"ge": 1, "le": 100_000, "description": "Rows of a long prediction."},
     # environment.Config and its reward
     "command_limit": {"gt": 0, "le": 100},
     "start_motion": {"ge": 0, "le": 1},
@@ -119,12 +132,12 @@ RANGES: Mapping[str, Mapping[str, Any]] = {
     "policy_hidden_layers": _WIDTHS,
     "critic_hidden_layers": _WIDTHS,
     # references.Ellipse and Helix
-    "semi_axes": _PLACE,
-    "period": {"gt": 0, "le": 600},
-    "rounds": {"gt": 0, "le": 100},
-    "radius": {"gt": 0, "le": 100},
-    "advance": _PLACE,
-    "turns": {"gt": 0, "le": 100},
+    "semi_axes": {**_PLACE, "description": "Along x, y and z [m]."},
+    "period": {"gt": 0, "le": 600, "description": "Of a round or a turn [s]."},
+    "rounds": {"gt": 0, "le": 100, "description": "Of the ellipse."},
+    "radius": {"gt": 0, "le": 100, "description": "In y and z [m]."},
+    "advance": {**_PLACE, "description": "Along x a turn [m]."},
+    "turns": {"gt": 0, "le": 100, "description": "Of the helix."},
     # follow.Bounds
     "shoulder": _PLACE,
     "reach": {"gt": 0, "le": 100},

@@ -77,6 +77,7 @@ def diagnosis_adds(rows: Sequence[Row], noise: str) -> list[tuple[str, str]]:
     found = []
     for model in (m for m in LABELS if m.endswith(DIAGNOSED)):
         twin = model.removesuffix(DIAGNOSED)
+        twin = twin if twin in LABELS else f"sim_model{DIAGNOSED}"  # of a residual: its simulator alone
         table = compare(rows, noise, model, twin)
         if table:
             held = {verdict: sum(row["verdict"] == verdict for row in table) for verdict in ("below", "level", "above")}
@@ -154,11 +155,13 @@ def _headline(summary: Sequence[Row]) -> list[str]:
     return [*HEADLINE, *_rollout_scores(summary)]
 
 
-def _metrics(summary: Sequence[Row]) -> dict[str, Any]:
-    metrics: dict[str, Any] = {}
-    for row in summary:
-        leaf = metrics.setdefault(row["noise"], {}).setdefault(row["model"], {})
-        leaf[f"N{row['sample_size']}"] = {score: row[score] for score in _headline(summary)}
+def _metrics(summary: Sequence[Row]) -> dict[str, float]:
+    """What `dvc metrics show` prints: every model's NLL at the largest N, under the noise where it is lowest."""
+    largest = max(row["sample_size"] for row in summary)
+    metrics: dict[str, float] = {}
+    for row in (r for r in summary if r["sample_size"] == largest):
+        name = f"nll_{row['model']}"
+        metrics[name] = float(np.fmin(row["nll"], metrics.get(name, math.nan)))
     return metrics
 
 

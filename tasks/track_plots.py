@@ -13,7 +13,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.figure import Figure
 
 from simgap.policies.follow import Run
-from tasks.plots import LABELS, STYLE, seeds_and_spread
+from tasks.plots import LABELS, STYLE, save, seeds_and_spread
 
 Runs = Mapping[tuple[str, int, int], Run]
 """Runs by model, N and seed."""
@@ -43,7 +43,7 @@ def error_against_n(path: Path, rows: Sequence[dict[str, Any]], best: Mapping[st
         ax.set_ylim(bottom=0.0)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False,
                   fontsize="small")  # fmt: skip
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def trajectories(path: Path, runs: Runs, shape: str, dpi: int) -> None:
@@ -68,7 +68,7 @@ def trajectories(path: Path, runs: Runs, shape: str, dpi: int) -> None:
         ax.set_ylabel(f"{LABELS[model]}\n{_NAMES[j]} [m]")
     title = f"{shape}: the hand (a line a seed) and its reference (dashed); x: stopped early"
     figure.suptitle(title, fontsize="medium")
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def trajectories_3d(path: Path, runs: Runs, shape: str, dpi: int) -> None:
@@ -88,7 +88,7 @@ def trajectories_3d(path: Path, runs: Runs, shape: str, dpi: int) -> None:
     for ax, model in zip(axes[:, 0], models, strict=True):
         ax.text2D(-0.08, 0.5, LABELS[model], transform=ax.transAxes, rotation=90, va="center", fontsize=9)
     figure.suptitle(f"{shape} in space [m]: the hand (a line a seed) and its reference (dashed)", fontsize="medium")
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def animate(path: Path, run: Run, title: str) -> None:
@@ -138,9 +138,3 @@ def _grid(runs: Runs, space: bool) -> tuple[list[str], list[int], Figure, np.nda
     for ax, n in zip(axes[0], sizes, strict=True):
         ax.set_title(f"N = {n}", fontsize="medium")
     return models, sizes, figure, axes
-
-
-def _save(figure: Figure, path: Path, dpi: int) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi, metadata={"Software": None})
-    plt.close(figure)

@@ -11,12 +11,13 @@ from prefect import task
 from simgap import learn
 from simgap.formats.documents import read_json, write_json
 from simgap.formats.folders import remove_file
-from simgap.models import Model
 from simgap.noise import FAMILIES
-from simgap.recordings import HISTORY, draw
+from simgap.prediction import Model
+from simgap.recordings import draw
+from simgap.residual.learn import residual_model
 from simgap.simulators import sample_parameters
-from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import ConfigError, Report, Schema, Simulator, Transitions
+from simgap.simulators.spot import Spot
+from simgap.types import ConfigError, Recording, Report, Simulator, Transitions
 from tasks import diagnosed, transitions
 from tasks.cells import Curve, finished, may_pass
 from tasks.files.models import save_model
@@ -38,8 +39,17 @@ def grid(params: TrainParams) -> list[Cell]:
     ]
 
 
-def fit(cell: Cell, data: Transitions, simulator: Simulator, params: TrainParams, report: Report) -> Model:
+def fit(
+    cell: Cell,
+    data: Transitions,
+    simulator: Simulator,
+    params: TrainParams,
+    report: Report,
+    sessions: Sequence[Recording] = (),
+) -> Model:
     """The cell's model; the N transitions depend on seed and N alone, so that all models learn from the same draw.
+
+    `sessions`: those of the cell's diagnosis, which say how a residual model predicts over many rows.
 
     Raises ConfigError when fewer than N transitions are there, DivergenceError when training leaves the finite numbers.
     """
@@ -60,8 +70,11 @@ def fit(cell: Cell, data: Transitions, simulator: Simulator, params: TrainParams
         case "sim_fsvgd":
             phi = sample_parameters(simulator, key_phi, params.sim_fsvgd.function_samples)
             return learn.sim_fsvgd_model(key, drawn, simulator, phi, params.sim_fsvgd, params.bnn, noise, report)
+        case "residual":
+            own = Transitions(*drawn, jnp.asarray(data.session)[rows])
+            return residual_model(key, own, sessions, simulator, (params.residual, params.bnn, noise), report)
         case unknown:
-            raise ConfigError(f"there is no model {unknown}; there are sim_model, fsvgd and sim_fsvgd.")
+            raise ConfigError(f"there is no model {unknown}; there are sim_model, fsvgd, sim_fsvgd and residual.")
 
 
 class Grid(NamedTuple):
@@ -80,6 +93,8 @@ def steps_at_most(cell: Cell, params: TrainParams) -> int:
     """Training steps of a cell, if it does not stop early."""
     if cell.method == "sim_model":
         return params.sim_model.training_steps
+    if cell.method == "residual":
+        return params.residual.all_steps
     return params.bnn.training_steps(cell.sample_size)
 
 
@@ -93,11 +108,8 @@ def train_cell(
     """
     digest, time_step = transitions.digest(workspace), 1 / params.transitions.nominal_rate_hz
     found = diagnosed.load(workspace, cell.share) if cell.share else None
-    mark = (
-        fingerprint(cell, digest, time_step, params.train, grid.codes.augmented, found.fingerprint)
-        if found
-        else fingerprint(cell, digest, time_step, params.train, grid.codes.training)
-    )
+    code = grid.codes.of(cell)
+    mark = fingerprint(cell, digest, time_step, params.train, code, found.fingerprint if found else None)
     with job(cell.name + workspace.suffix, steps_at_most(cell, params.train)) as report:
         reused = finished(workspace.model(cell), workspace.record(cell), mark)
         if not reused:
@@ -105,7 +117,8 @@ def train_cell(
             remove_file(workspace.record(cell), workspace.root)
             simulator = found.simulator if found else Spot(time_step=time_step)
             keep, start = Curve(report, {}), clock()
-            model = fit(cell, transitions.load(workspace, "training"), simulator, params.train, keep)
+            sessions = diagnosed.seen(workspace, cell.share, time_step) if cell.share else []
+            model = fit(cell, transitions.load(workspace, "training"), simulator, params.train, keep, sessions)
             known = {"fingerprint": mark, **({"effects": list(found.simulator.effects)} if found else {})}
             training = {"seconds": clock() - start, "steps": keep.curve["step"][-1], "curve": keep.curve}
             # The record comes last: a cell killed halfway has none and is trained again.
@@ -125,15 +138,9 @@ def log_cell(workspace: Workspace, cell: Cell, params: TrainParams, grid: Grid, 
         curve = dict(record["curve"])
         run.curve([int(step) for step in curve.pop("step")], curve)
         run.dataset(f"{workspace.source}-transitions", workspace.transitions, tags["transitions"], "training")
-        run.scores({"seconds": record["seconds"], "steps": record["steps"]})
-        log_model(run, workspace.model(cell), input_columns(SCHEMA), SCHEMA.encoded)
+        run.scores({"training_seconds": record["seconds"], "steps": record["steps"]})
+        log_model(run, workspace.model(cell))
     return run
-
-
-def input_columns(schema: Schema) -> tuple[str, ...]:
-    """Names of x: the encoded state and the commands, those k rows before with the suffix `_k`."""
-    commands = [f"{c.name}_{k}" if k else c.name for k in range(HISTORY, -1, -1) for c in schema.command]
-    return (*schema.encoded, *commands)
 
 
 def remove_stale(workspace: Workspace, cells: Sequence[Cell]) -> None:

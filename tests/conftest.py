@@ -14,12 +14,12 @@ import pytest
 from hypothesis import settings
 
 os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are called without a flow here
-os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"  # at its end a process would wait for a server that is gone
 os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="simgap-prefect-")
 os.environ.pop("MLFLOW_TRACKING_URI", None)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
 
-import flows  # noqa: F401  # settles the environment before any library reads it
+import flows.flow  # noqa: F401  # settles the environment before any library reads it
+from tasks.server import NONE
 
 settings.register_profile("simgap", deadline=None)  # how long an example takes depends on what else runs
 settings.load_profile("simgap")
@@ -46,16 +46,18 @@ def until_it_answers(server: subprocess.Popen[bytes], address: str) -> None:
 def prefect_server() -> Iterator[dict[str, str]]:
     """A Prefect server for a test process; gives the environment in which the commands of tests use it.
 
-    A command without it starts one of its own, which takes ten seconds of a core each time.
+    A command without it tells nobody of its flows and tasks.
     """
     port = free_port()
-    environment = {**os.environ, "PREFECT_SERVER_API_PORT": str(port)}
+    inherited = {name: value for name, value in os.environ.items() if name not in NONE}
+    environment = {**inherited, "PREFECT_SERVER_API_PORT": str(port)}
     command = [Path(sys.executable).parent / "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(port)]
     server = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     address = f"http://127.0.0.1:{port}/api"
     try:
         until_it_answers(server, f"{address}/health")
-        yield {**os.environ, "PREFECT_API_URL": address}
+        # With logs, a process would wait at its end for a server that is gone.
+        yield {**inherited, "PREFECT_API_URL": address, "PREFECT_LOGGING_TO_API_ENABLED": "false"}
     finally:
         server.terminate()
         server.wait(timeout=30)

@@ -1,1 +1,1 @@
-"""Stages of the sealed suites; see sealed/dvc.yaml."""
+"""Stages of the sealed suites; see pipelines/sealed/dvc.yaml."""

@@ -8,8 +8,7 @@ if __name__ == "__main__":
 import time
 from pathlib import Path
 
-from prefect import flow
-
+from flows.flow import flow
 from simgap.cli import progress
 from tasks import fingerprint
 from tasks.params import SealedParams
@@ -22,7 +21,7 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     """Write a suite; an examination's seeds are fixed by the diagnosing code and the round."""
     workspace = SealedWorkspace(root, suite)
     real = lambda: conceal.read_real(params.conceal.real)  # noqa: E731
-    code = fingerprint.diagnosing_code()
+    code = fingerprint.diagnosing_code(workspace.has_models)
     with progress.bars(f"conceal {suite}", 1, time.monotonic) as bars, bars.job(suite, 0) as report:
         manifest = conceal.write(workspace, params.conceal, code, real, report)
     progress.say(f"{len(manifest['keys'])} cases in {len(manifest['parts'])} parts: {workspace.cases}\n"

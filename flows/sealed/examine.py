@@ -9,9 +9,9 @@ import queue
 import time
 from pathlib import Path
 
-from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from flows.flow import flow
 from simgap.cli import progress
 from simgap.formats.documents import read_json
 from simgap.types import SimgapError
@@ -26,7 +26,7 @@ def run(suite: str, params: SealedParams, root: Path) -> None:
     """Diagnose what is not diagnosed yet; cases that failed are told at the end and lose no other."""
     workspace, wanted = SealedWorkspace(root, suite), params.examine
     manifest = read_json(workspace.manifest)
-    code = fingerprint.diagnosing_code()
+    code = fingerprint.diagnosing_code(workspace.has_models)
     cases = examine.chosen(manifest, wanted)
     marks = {case: examine.fingerprint(workspace, case, wanted.seed, code) for case in manifest["keys"]}
     for case in examine.remove_stale(workspace, marks):

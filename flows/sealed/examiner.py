@@ -12,23 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import flows  # noqa: F401  # settles the environment before JAX is imported
-from simgap.diagnosis.diagnose import diagnose
+import simgap.simulators.mujoco  # noqa: F401  # MuJoCo starts a process when it is imported, which the lock forbids
+from simgap.api import diagnose
 from simgap.formats.documents import write_json
-from simgap.simulators.spot import Spot
-from tasks.diagnose import Folders, read
 from tasks.sealed.lock import lock
-from tasks.sealed.workspace import AFTER, BEFORE
+from tasks.sealed.workspace import AFTER, BEFORE, MODEL
 
 
 def examine(case: Path, out: Path, seed: int) -> None:
-    """Diagnose the kinematic model on a case's recordings and write the statement."""
-    simulator = Spot()
-    after = case / AFTER
-    folders = Folders(after, baseline=case / BEFORE) if after.exists() else Folders(case)
-    sessions, errors = read.fn(folders, simulator)
-    if errors:
-        raise ValueError("; ".join(errors))
-    found = diagnose(simulator, "spot", sessions, seed)
+    """Diagnose a case's own model on its recordings, or the kinematic model of the Spot; write the statement."""
+    model, after, before = case / MODEL, case / AFTER, case / BEFORE
+    simulator = model if model.exists() else "spot"
+    if after.exists():
+        found = diagnose(simulator, after, baseline=before, seed=seed)
+    else:
+        found = diagnose(simulator, case, seed=seed)
+    if found.left_out:
+        raise ValueError("; ".join(found.left_out))
     write_json(out, found.statement)
 
 

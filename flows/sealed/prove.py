@@ -7,8 +7,7 @@ if __name__ == "__main__":
 
 from pathlib import Path
 
-from prefect import flow
-
+from flows.flow import flow
 from flows.sealed import conceal, examine, score
 from tasks.params import SealedParams
 

@@ -2,15 +2,16 @@
 
 import argparse
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
 from flows.errors import guarded
 from flows.locks import held
-from flows.start import add_overrides, check_files, prepared, read_overrides
+from flows.start import add_overrides, check_files, read_overrides
 from tasks.sealed.workspace import SUITES, SealedWorkspace
 
-PARAMS = Path("sealed/params.yaml")
+PARAMS = Path("pipelines/sealed/params.yaml")
 FOLDERS = ("data/sealed", "keys", "examinations", "reports/sealed")
 """What sealed stages write to."""
 
@@ -30,9 +31,10 @@ def main(stage: str, description: str | None) -> NoReturn:
         from tasks.params import load_sealed
 
         params = load_sealed(PARAMS, *read_overrides(arguments))
-        fingerprint.diagnosing_code()
-        flow = prepared(stage)
-        with held(SealedWorkspace(arguments.workspace, arguments.suite).lock):
+        workspace = SealedWorkspace(arguments.workspace, arguments.suite)
+        fingerprint.diagnosing_code(workspace.has_models)
+        flow = import_module(stage)
+        with held(workspace.lock):
             for folder in FOLDERS:
                 remove_unfinished(arguments.workspace / folder)
             flow.run(arguments.suite, params, arguments.workspace)

@@ -3,15 +3,17 @@
 from pathlib import Path
 
 from simgap.cli import progress
+from simgap.formats import peek
 from simgap.formats.folders import make_folder
 from simgap.formats.recordings import printable
-from simgap.loading.load import load
+from simgap.loading.load import prepared
+from simgap.loading.model_files import ModelFile
 from simgap.page import check
 
 
-def check_folder(folder: Path, simulator: str, out: Path) -> None:
+def check_folder(folder: Path, simulator: str | ModelFile, out: Path) -> None:
     """Print what looks wrong, and write the page."""
-    used = load(simulator)
+    used = prepared(simulator, lambda: peek.in_folders([folder])).simulator
     checked = check.check(folder, used)
     make_folder(out)
     path = check.write(out, printable(folder.resolve().name), checked, used)

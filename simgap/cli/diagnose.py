@@ -7,30 +7,36 @@ from pathlib import Path
 from simgap.cli import progress
 from simgap.cli.locks import alone
 from simgap.diagnosis.diagnose import diagnose
-from simgap.formats import diagnoses, purposes
+from simgap.formats import diagnoses, peek, purposes
 from simgap.formats.documents import as_json
 from simgap.formats.folders import make_folder
 from simgap.formats.purposes import Folders
-from simgap.loading.load import load
+from simgap.loading.load import prepared, started
+from simgap.loading.model_files import ModelFile
 from simgap.result import Result
 from simgap.types import Sessions
 
 
-def diagnose_folder(folders: Folders, simulator: str, out: Path, seed: int, json: bool) -> None:
+def diagnose_folder(folders: Folders, simulator: str | ModelFile, out: Path, seed: int, json: bool) -> None:
     """Diagnose, write to `out`, and print the statement and where the page is; or the statement as JSON."""
-    used = load(simulator)
-    sessions, errors = purposes.read(folders, used)
-    say_what_is_read(simulator, folders.recordings.resolve().name, sessions, errors)
+    used = prepared(simulator, lambda: peek.in_folders(folders.every))
+    for note in used.notes:
+        progress.say(f"note: {note}")
+    sessions, errors = purposes.read(folders, used.simulator)
+    label = " and ".join(folder.resolve().name for folder in (folders.recordings, *folders.further))
+    say_what_is_read(used.name, label, sessions, errors)
+    used = started(used, sessions, lambda words: progress.say(f"note: {words}"))
     make_folder(out)  # before the work, not after it
     with alone(out):
         start = time.perf_counter()
         with progress.steps("diagnosing") as step:
-            found = diagnose(used, simulator, sessions, seed, step)
-        Result(used, found, tuple(errors)).save(out)
+            found = diagnose(used.simulator, used.name, sessions, seed, step)
+        result = Result.of(used, found, errors)
+        result.save(out)
     seconds = time.perf_counter() - start
-    progress.say(f"\n{summary(found.statement, out, seconds)}")
+    progress.say(f"\n{summary(result.statement, out, seconds)}")
     if json:
-        print(as_json(found.statement))
+        print(as_json(result.statement))
 
 
 def say_what_is_read(simulator: str, recordings: str, sessions: Sessions, errors: Sequence[str]) -> None:
@@ -44,5 +50,7 @@ def say_what_is_read(simulator: str, recordings: str, sessions: Sessions, errors
 def summary(statement: dict, out: Path, seconds: float) -> str:
     """The statement, where its files are, and how long it took."""
     shown = [("page", diagnoses.PAGE), ("data", diagnoses.STATEMENT), ("commands", diagnoses.EXPERIMENT)]
+    if statement.get("patched"):
+        shown.append(("model", statement["patched"]["file"]))
     places = "\n".join(f"{what:10}{out / file}" for what, file in shown if (out / file).exists())
     return f"{statement['statement']}\n\n{places}\n({statement['verdict'].replace('_', ' ')}, {seconds:.0f} s)"

@@ -1,5 +1,6 @@
-"""What libraries read from the environment at their import, settled before any of them is imported."""
+"""How a process that computes is set up, before any library is imported."""
 
+import gc
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,12 @@ NUMERICS = {
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
 }
 """Of a process that computes."""
+
+
+def collect_seldom() -> None:
+    """Look for garbage seldom: tracing makes millions of small objects that live on, and looking through them again
+    and again takes a tenth of a diagnosis."""
+    gc.set_threshold(50_000, 20, 100)
 
 
 def settle(values: Mapping[str, str]) -> None:

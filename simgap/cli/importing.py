@@ -1,21 +1,47 @@
 """`simgap import`: bags, tables and LeRobot data sets of one's own robot into recordings."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from simgap.cli import progress
 from simgap.cli.locks import alone
 from simgap.formats import sessions
 from simgap.formats.importing import import_sessions
-from simgap.formats.mapping import read_mapping
+from simgap.formats.joint_names import mapping_of
+from simgap.formats.mapping import MappingFile, check_columns, read_mapping
+from simgap.formats.peek import Seen
 from simgap.formats.recordings import session_name, session_names
-from simgap.loading.load import load
-from simgap.types import RecordingError
+from simgap.loading.load import prepared
+from simgap.loading.model_files import ModelFile
+from simgap.types import RecordingError, Schema
+
+TIME_STEP = 0.02
+"""Interval [s] with which a model is looked at before that of the recordings is known: names do not depend on it."""
 
 
-def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str) -> None:
+def import_data_set(source: Path, units: Mapping[str, str], out: Path, simulator: ModelFile) -> None:
+    """Every episode of a LeRobot data set of the robot that a model is of, by the names of its joints."""
+    mapping = mapping_of(source, *simulator.described(TIME_STEP), units)
+    schema = _schema(mapping, simulator)
+    check_columns(source, mapping, schema, schema.columns[1:])
+    _import(source, mapping, schema, out, simulator)
+
+
+def import_recordings(source: Path, mapping_file: Path, out: Path, simulator: str | ModelFile) -> None:
     """Every session of `source` as the mapping file says; one that cannot be used is reported, and loses no other."""
-    schema = load(simulator).schema
-    mapping = read_mapping(mapping_file, schema)
+    mapping = read_mapping(mapping_file)
+    schema = _schema(mapping, simulator)
+    known = simulator.columns(1 / mapping.rate_hz) if isinstance(simulator, ModelFile) else schema.columns
+    check_columns(mapping_file, mapping, schema, known[1:])  # without the time, which has a key of its own
+    _import(source, mapping, schema, out, simulator)
+
+
+def _schema(mapping: MappingFile, simulator: str | ModelFile) -> Schema:
+    """Of the recordings that a mapping makes."""
+    return prepared(simulator, lambda: Seen(tuple(mapping.columns), 1 / mapping.rate_hz)).simulator.schema.measured
+
+
+def _import(source: Path, mapping: MappingFile, schema: Schema, out: Path, simulator: str | ModelFile) -> None:
     paths = sessions.sources(source)
     rows: dict[str, int] = {}
     errors: list[RecordingError] = []

@@ -10,11 +10,14 @@ from simgap.cli import environment, progress
 from simgap.cli.errors import guarded
 from simgap.formats import sessions
 from simgap.loading import trial
+from simgap.loading.model_files import ModelFile, PerJoint, named
+from simgap.types import ConfigError
 
 
 def main() -> None:
     """A subcommand: status 0 whatever it finds, 1 with an explained error, 2 for wrong arguments."""
     given = parser().parse_args()
+    environment.collect_seldom()
     environment.settle({**environment.NUMERICS, "JAX_COMPILATION_CACHE_DIR": str(environment.cache())})
     progress.choose(quiet=given.quiet, verbose=given.verbose, json=getattr(given, "json", False))
     # A simulator of one's own lies where the command is started; behind the libraries, whose names may be the same.
@@ -60,7 +63,12 @@ class _Completion(argparse.Action):
 
 def _add_diagnose(commands: Any) -> None:
     diagnose = _added(commands, "diagnose", "say what a simulator leaves out of recordings", _diagnose)
-    _path(diagnose, "recordings", "folder of sessions, CSV or Parquet")
+    _path(
+        diagnose,
+        "recordings",
+        "folder of sessions, CSV or Parquet; several, of experiments with one machine",
+        nargs="+",
+    )
     _add_simulator(diagnose)
     _path(diagnose, "--heldout", "folder of sessions to judge by; else some are held out")
     _path(diagnose, "--baseline", "folder of sessions from before the machine changed")
@@ -70,32 +78,60 @@ def _add_diagnose(commands: Any) -> None:
 
 
 def _diagnose(given: argparse.Namespace) -> None:
-    found = {f: len(sessions.session_files(f)) for f in (given.recordings, given.heldout, given.baseline) if f}
+    first, *further = given.recordings
+    folders = [*given.recordings, *filter(None, (given.heldout, given.baseline))]
+    found = {folder: len(sessions.session_files(folder)) for folder in folders}
+    simulator = _simulator(given)
     progress.say(f"{', '.join(f'{count} files in {folder}' for folder, count in found.items())}; trying the simulator "
-                 f"{given.simulator}")  # fmt: skip
-    trial.check(given.simulator)
+                 f"{simulator}")  # fmt: skip
+    trial.check(simulator)
     from simgap.cli.diagnose import diagnose_folder
     from simgap.formats.purposes import Folders
 
-    folders = Folders(given.recordings, given.heldout, given.baseline)
-    diagnose_folder(folders, given.simulator, given.out, given.seed, given.json)
+    folders = Folders(first, given.heldout, given.baseline, tuple(further))
+    diagnose_folder(folders, simulator, given.out, given.seed, given.json)
 
 
 def _add_import(commands: Any) -> None:
     bring = _added(commands, "import", "turn bags and tables of one's own robot into recordings", _import)
     _path(bring, "source", "MCAP file, ROS 2 bag, CSV or Parquet, or a folder of these")
-    _path(bring, "--mapping", "YAML file that says where every column comes from", required=True)
+    _path(bring, "--mapping", "YAML file that says where every column comes from")
+    bring.add_argument("--units", type=_units, metavar="UNIT", help="in place of a mapping, of a LeRobot data set "
+                       "whose columns are named like the model's joints: deg, rad, percent of their range, "
+                       "signed_percent (-100 to 100), m or mm; also by joint, as deg,gripper=percent")  # fmt: skip
     _path(bring, "--out", "folder for the recordings", required=True)
     _add_simulator(bring)
 
 
 def _import(given: argparse.Namespace) -> None:
     sessions.sources(given.source)
+    simulator = _simulator(given)
+    if given.mapping is None:
+        _import_data_set(given, simulator)
+        return
+    if given.units:
+        raise ConfigError("--units and --mapping exclude each other: a mapping has a unit for every column.")
     sessions.mapping_file(given.mapping)
-    trial.check(given.simulator)
+    trial.check(simulator)
     from simgap.cli.importing import import_recordings
 
-    import_recordings(given.source, given.mapping, given.out, given.simulator)
+    import_recordings(given.source, given.mapping, given.out, simulator)
+
+
+def _import_data_set(given: argparse.Namespace, simulator: str | ModelFile) -> None:
+    """Without a mapping: a LeRobot data set by the names of a model's joints."""
+    if not isinstance(simulator, ModelFile) or not sessions.is_lerobot(given.source):
+        raise ConfigError(f"{given.source}: --mapping is missing. Only a LeRobot data set with a model file as the "
+                          "simulator needs none.")  # fmt: skip
+    simulator.check()
+    from simgap.cli.importing import import_data_set
+
+    import_data_set(given.source, given.units or {}, given.out, simulator)
+
+
+def _units(text: str) -> dict[str, str]:
+    """Units by joint; that of all others by an empty name."""
+    return {joint: unit for joint, _, unit in (part.rpartition("=") for part in text.split(","))}
 
 
 def _add_check(commands: Any) -> None:
@@ -107,10 +143,11 @@ def _add_check(commands: Any) -> None:
 
 def _check(given: argparse.Namespace) -> None:
     sessions.session_files(given.recordings)
-    trial.check(given.simulator)
+    simulator = _simulator(given)
+    trial.check(simulator)
     from simgap.cli.check import check_folder
 
-    check_folder(given.recordings, given.simulator, given.out)
+    check_folder(given.recordings, simulator, given.out)
 
 
 def _added(commands: Any, name: str, what: str, work: Any) -> argparse.ArgumentParser:
@@ -129,7 +166,37 @@ def _path(command: argparse.ArgumentParser, name: str, what: str, **options: Any
 
 
 def _add_simulator(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--simulator", default="spot", help="spot, or one's own as package.module:name")
+    command.add_argument("--simulator", default="spot",
+                         help="an MJCF or URDF (robot.xml), one's own as package.module:name, or spot")  # fmt: skip
+    for option, what in _SERVOS.items():
+        command.add_argument(f"--{option}", type=_per_joint, metavar="VALUE",
+                             help=f"of joints that have no actuator in the model: {what}; a number, or "
+                                  "joint=number,joint=number")  # fmt: skip
+
+
+_SERVOS = {"kp": "stiffness of a position servo [N m/rad]", "kv": "its damping [N m s/rad]",
+           "force-limit": "its largest torque [N m]"}  # fmt: skip
+
+
+def _per_joint(text: str) -> PerJoint:
+    """A number, or numbers by joint."""
+    try:
+        if "=" not in text:
+            return float(text)
+        return {joint: float(value) for joint, _, value in (part.partition("=") for part in text.split(","))}
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number, or joint=number,joint=number; it is {text!r}") from None
+
+
+def _simulator(given: argparse.Namespace) -> str | ModelFile:
+    """What --simulator names."""
+    simulator, servos = named(given.simulator), (given.kp, given.kv, given.force_limit)
+    if isinstance(simulator, ModelFile):
+        return ModelFile(simulator.path, *servos)
+    if any(value is not None for value in servos):
+        raise ConfigError(f"--kp, --kv and --force-limit are for a model file (.xml, .mjcf, .urdf), which "
+                          f"{given.simulator} is not. Leave them out.")  # fmt: skip
+    return simulator
 
 
 if __name__ == "__main__":

@@ -13,17 +13,19 @@ from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import seen_at
 from simgap.diagnosis.inference.model import Say
+from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.report import experiment
 from simgap.diagnosis.report import statement as report
-from simgap.diagnosis.validation import black_box, scores
+from simgap.diagnosis.validation import black_box, replay, scores
 from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.forecast import Contestant
 from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import sensitivity
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Regime
+from simgap.engines import Engine, is_engine
 from simgap.types import Recording, Sessions, StepModel
 
 
@@ -56,7 +58,9 @@ def _quiet(_: str) -> None:
     """Nobody listens."""
 
 
-def diagnose(simulator: StepModel, name: str, sessions: Sessions, seed: int = 0, say: Say = _quiet) -> Diagnosis:
+def diagnose(
+    simulator: StepModel | Engine, name: str, sessions: Sessions, seed: int = 0, say: Say = _quiet
+) -> Diagnosis:
     """Diagnose the simulator called `name` against recordings; `say(line)` is told what is being tried.
 
     With a `baseline` the question is what changed since: the simulator is refitted to both sets, with the effects that
@@ -65,7 +69,7 @@ def diagnose(simulator: StepModel, name: str, sessions: Sessions, seed: int = 0,
     Raises DivergenceError when the simulator leaves the finite numbers on the recordings at its nominal parameters.
     """
     rng = np.random.default_rng(seed)
-    found = explain(simulator, sessions, rng, say)
+    found, sessions = explained(simulator, sessions, rng, say)
     say("judging on held-out sessions")
     contestants = _contestants(found, rng)
     judged = _judged(found, contestants, sessions)
@@ -77,6 +81,7 @@ def diagnose(simulator: StepModel, name: str, sessions: Sessions, seed: int = 0,
     plan, none = _experiment(found, sessions.training)
     statement = report.statement(name, found, sessions, outcome, plan, rng)
     statement["notes"] += none
+    statement["replay"] = _replayed(found, contestants, sessions.heldout)
     evidence = report.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
     return Diagnosis(statement, evidence, _model(found), commands)
@@ -84,16 +89,17 @@ def diagnose(simulator: StepModel, name: str, sessions: Sessions, seed: int = 0,
 
 def _beyond_ranges(
     found: Explanation,
-    simulator: StepModel,
+    simulator: StepModel | Engine,
     sessions: Sessions,
     rng: np.random.Generator,
     say: Say,
 ) -> Explanation | None:
     """What is found when parameters may leave their ranges; None where none is at the end of its range.
 
-    A range that is too narrow shows as physics that is missing: what is claimed must not depend on it.
+    A range that is too narrow shows as physics that is missing: what is claimed must not depend on it. Ranges of
+    an engine's parameters are wide.
     """
-    if not found.anything or not at_bound(found.problem, found.base):
+    if is_engine(simulator) or not found.anything or not at_bound(found.problem, found.base):
         return None
     say(f"the same with ranges that do not hold, as {', '.join(at_bound(found.problem, found.base))} would leave them")
     return explain(simulator, sessions, rng, say, ranges_hold=False)
@@ -131,11 +137,26 @@ def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Se
     )  # fmt: skip
 
 
+def _replayed(
+    found: Explanation, contestants: dict[str, Contestant], heldout: Sequence[Recording]
+) -> dict[str, Any] | None:
+    """Errors of an engine in open loop, but those of the black box; None where there is nothing to replay."""
+    simulator, layout = found.problem.augmented.simulator, found.problem.augmented.layout
+    pieces = replay.pieces_of(heldout, simulator.time_step)
+    if pieces is None or not is_engine(simulator):
+        return None
+    pieces = seen_at(layout, pieces, [when._replace(regime=None) for when in found.supports])
+    own = {name: model for name, model in contestants.items() if name != "black_box"}
+    return replay.replay(found.problem, own, pieces)
+
+
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[report.Plan | None, list[str]]:
     """For the least certain effect, what would separate it from its rival; or a note why nothing does."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
     if not contested or not found.problem.augmented.layout.schema.command:
         return None, []
+    if is_engine(found.problem.augmented.simulator):
+        return None, ["No experiment is proposed: experiments are not designed for engines yet."]
     member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
     about, ids = [member.candidate, rival.candidate], (member.candidate.effect.id, rival.candidate.effect.id)
     designed = experiment.design(found.problem, found.fit, rival.fit, about, found.regimes, list(training))

@@ -17,6 +17,8 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import Effect, Site
+from simgap.effects.engine_terms import effects_of
+from simgap.engines import Engine, is_engine
 from simgap.layout import Layout
 from simgap.types import StepModel
 
@@ -31,7 +33,7 @@ Active = Bool[Array, " effects"] | None
 class Slot(NamedTuple):
     """One constant of one effect at one site: a place in the vector theta."""
 
-    effect: int  # in CATALOGUE
+    effect: int  # in the catalogue
     constant: int
     site: int
 
@@ -40,7 +42,16 @@ class Slot(NamedTuple):
 class Augmented:
     """`simulator` with theta, a vector of the internal constants of all effects at all sites; nil at zero."""
 
-    simulator: StepModel
+    simulator: StepModel | Engine
+
+    @cached_property
+    def catalogue(self) -> tuple[Effect, ...]:
+        """The effects that this simulator may lack; what an engine can express it expresses itself."""
+        if not is_engine(self.simulator):
+            return CATALOGUE
+        own = effects_of(self.simulator)
+        others = {effect.id for effect in own}
+        return (*(e for e in CATALOGUE if e.id not in others and not e.coarse), *own)
 
     @cached_property
     def layout(self) -> Layout:
@@ -49,14 +60,14 @@ class Augmented:
     @cached_property
     def sites(self) -> tuple[tuple[Site, ...], ...]:
         """Sites of every effect of the catalogue; none where it does not apply to this simulator."""
-        return tuple(effect.sites(self.layout) for effect in CATALOGUE)
+        return tuple(effect.sites(self.layout) for effect in self.catalogue)
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """What each entry of theta is."""
         return tuple(
             Slot(e, k, s)
-            for e, effect in enumerate(CATALOGUE)
+            for e, effect in enumerate(self.catalogue)
             for k in range(len(effect.constants))
             for s in range(len(self.sites[e]))
         )
@@ -69,7 +80,7 @@ class Augmented:
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest internal values of theta."""
-        constants = [CATALOGUE[slot.effect].constants[slot.constant] for slot in self.slots]
+        constants = [self.catalogue[slot.effect].constants[slot.constant] for slot in self.slots]
         return np.array([c.low for c in constants]), np.array([c.high for c in constants])
 
     @cached_property
@@ -95,7 +106,7 @@ class Augmented:
     def active(self, *thetas: Float[Array | np.ndarray, " P"]) -> Bool[Array, " effects"]:
         """The effects that have a constant other than zero in any of these."""
         on = jnp.any(jnp.stack([jnp.asarray(theta) for theta in thetas]) != 0, axis=0)
-        return jnp.zeros(len(CATALOGUE), bool).at[self.effect_of].max(on)
+        return jnp.zeros(len(self.catalogue), bool).at[self.effect_of].max(on)
 
     def laws(self, theta: Theta, active: Active, *places: str) -> list["Law"]:
         """The effects of some places that have sites.
@@ -103,7 +114,7 @@ class Augmented:
         Where theta is numpy's, effects whose constants are all zero are left out: they are nil.
         """
         found, start, known = [], 0, isinstance(theta, np.ndarray)
-        for i, (effect, sites) in enumerate(zip(CATALOGUE, self.sites, strict=True)):
+        for i, (effect, sites) in enumerate(zip(self.catalogue, self.sites, strict=True)):
             size = len(effect.constants) * len(sites)
             c = theta[start : start + size].reshape(len(effect.constants), len(sites))
             if sites and effect.place in places and not (known and not c.any()):

@@ -1,58 +1,60 @@
 """Effects on the way from a command that is sent to the command that acts.
 
-A law of place "command" is `law(c[k, sites], u, memory, row, layout) -> u`; one of place "filter" is
-`law(c[k, sites], u, z, fading) -> (z, u)`: what it remembers, and the command that acts.
+A law of place "command" is `law(c[k, sites], u, memory, row, layout) -> u`; those of place "filter" are in
+`command_filters`.
 
 A simulator holds a command for a row, a robot does not: it may change within. What acts is the constant command that
 leads to the same velocity at the row's end. There a joint that follows its command as a first-order system has
 forgotten more of what came early in the row: with v = a v + (1 - a) u over a row, a command at the time s of it, 0 to
 1, weighs as exp(fading s), fading = -ln a. Where nothing is forgotten, as with a force, that is the command's mean.
+
+An engine takes commands in parts of a row: u is then [parts, u], and what acts in a part is the mean over it.
 """
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from simgap.effects.command_filters import backlash, lag, rate_limit
 from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site, channel_sites
-from simgap.kinematics import placed, substituted
 from simgap.layout import Layout, X, Y
-from simgap.types import StepModel
 
 _U = Float[Array, " u"]
-NEVER = 1e-6
-"""Fading of what forgets nothing, or nearly."""
-AT_ONCE = 4.0
-"""Greatest fading: a joint that follows nearly at once still takes a part of a row."""
-
-
-def fading_of(simulator: StepModel, layout: Layout, phi: Float[Array, " p"]) -> _U:
-    """-ln a of every command [u], by the response at rest of the velocity it drives; `NEVER` where it drives none."""
-    rest = jnp.zeros(len(layout.schema.state)), jnp.zeros(len(layout.schema.command))
-    response = jax.jacfwd(lambda u: simulator.step(phi, rest[0], u))(rest[1])
-    kept = []
-    for i, field in enumerate(layout.schema.command):
-        driven = layout.velocity[layout.command == i]
-        follows = field.kind == "velocity" and len(driven) and driven[0] >= 0
-        kept.append(1 - response[driven[0], i] if follows else 1.0)
-    return jnp.clip(-jnp.log(jnp.maximum(jnp.array(kept), np.exp(-AT_ONCE))), NEVER, AT_ONCE)
-
-
-def _beyond_one(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """(exp(x) - 1) / x - 1, by its series where that is rounding."""
-    away = jnp.where(jnp.abs(x) < 0.1, 0.1, x)
-    return jnp.where(jnp.abs(x) < 0.1, x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, jnp.expm1(away) / away - 1)
 
 
 def _delay(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """u(t - d), d = c rows: first still the older of two rows' commands."""
+    if u.ndim == 2:
+        return _delay_in_parts(c, u, memory)
     whole = jnp.floor(c[0])
     share = jnp.expm1(memory.fading * (c[0] - whole)) / jnp.expm1(memory.fading)
     for k, (newer, older) in enumerate(zip([u, *memory.commands[:-1]], memory.commands, strict=True)):
         u = u + jnp.where(k < whole, 1.0, jnp.where(k == whole, share, 0.0)) * (older - newer)
     return u
+
+
+def _delay_in_parts(c: Float[Array, "1 u"], u: Float[Array, "parts u"], memory: Memory) -> Float[Array, "parts u"]:
+    """u(t - d) in every part of the row.
+
+    What is sent changes within a part. Its mean over the part acts, which leads to the right velocity; what the mean
+    makes the position too great by, its first moment q about the part's middle, is taken back in this part and given
+    again in the next.
+    """
+    parts = len(u)
+    # From the last part of the row before on, whose moment is given in the first part of this one.
+    begins = np.arange(-1, parts)[:, None] / parts - c[0]
+    ends, middle = begins + 1 / parts, begins + 0.5 / parts
+    mean, moment = u[0] + jnp.zeros_like(begins), jnp.zeros_like(begins)
+    for k, older in enumerate(memory.commands, 1):
+        # The share of the part in which what was sent k rows ago acts; the oldest that is known acted ever before.
+        first = jnp.maximum(begins, -k) if k < len(memory.commands) else begins
+        last = jnp.maximum(jnp.minimum(ends, 1 - k), first)
+        share = parts * (last - first)
+        mean = mean + share * (older - u[0])
+        moment = moment + parts * share * ((first + last) / 2 - middle) * (older - u[0])
+    return (mean - moment)[1:] + moment[:-1]
 
 
 def _quantization(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
@@ -64,12 +66,6 @@ def _quantization(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layou
 def _deadband(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
     """Nothing below the width c, the rest shifted by it."""
     return u - jnp.clip(u, -c[0], c[0])
-
-
-def _backlash(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U) -> tuple[_U, _U]:
-    """Play of gap c: the output is dragged along at the gap's ends."""
-    z = jnp.clip(z, u - c[0] / 2, u + c[0] / 2)
-    return z, z
 
 
 def _gain(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
@@ -95,26 +91,6 @@ def _saturation(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout:
     return u / jnp.maximum(1.0, jnp.abs(u) * c[0])
 
 
-def _rate_limit(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U) -> tuple[_U, _U]:
-    """A ramp from z towards u by 1/c a row: where it ends, and what it amounts to over the row, which acts.
-
-    Both are u less a share of its change, so that without a limit they are u exactly.
-    """
-    change = u - z
-    rows = jnp.abs(change) * c[0]
-    ended = jnp.maximum(rows, 1.0)
-    missed = lambda rows: _beyond_one(fading * rows) / jnp.expm1(fading)  # noqa: E731 # by a ramp of less than a row
-    share = jnp.where(rows < 1, missed(jnp.minimum(rows, 1.0)), 1 - (1 - missed(1.0)) / ended)
-    return u - change * (1 - 1 / ended), u - change * share
-
-
-def _lag(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U) -> tuple[_U, _U]:
-    """First-order response with a time constant of c rows: where it ends, and what it amounts to over the row."""
-    rate = 1 / jnp.maximum(c[0], 1e-6)
-    missed = jnp.where(c[0] > 0, (1 + _beyond_one(fading - rate)) / (1 + _beyond_one(fading)), 0.0)
-    return u + jnp.where(c[0] > 0, jnp.exp(-rate), 0.0) * (z - u), u - missed * (u - z)
-
-
 def _pairs(layout: Layout) -> list[tuple[int, int]]:
     """(from, to) command indices of the same body."""
     fields = layout.schema.command
@@ -137,7 +113,7 @@ def _cross_axis(c: Float[Array, "1 n"], u: _U, memory: Memory, row: Row, layout:
     """u_j + c u_i."""
     leak = jnp.zeros_like(u)
     for k, (i, j) in enumerate(_pairs(layout)):
-        leak = leak + placed(len(u), j, c[0, k] * u[i])
+        leak = leak + jnp.where(np.arange(u.shape[-1]) == j, (c[0, k] * u[..., i])[..., None], 0.0)
     return u + leak
 
 
@@ -158,8 +134,9 @@ def _misalignment(c: Float[Array, "1 n"], u: _U, memory: Memory, row: Row, layou
     for k, b in enumerate(_planar(layout)):
         ix, iy = (int(i) for i in layout.command[b, [X, Y]])
         cos, sin = jnp.cos(c[0, k]), jnp.sin(c[0, k])
-        x, y = cos * u[ix] - sin * u[iy], sin * u[ix] + cos * u[iy]
-        u = substituted(substituted(u, ix, x), iy, y)
+        along, across = u[..., ix], u[..., iy]
+        x, y = (cos * along - sin * across)[..., None], (sin * along + cos * across)[..., None]
+        u = jnp.where(np.arange(u.shape[-1]) == ix, x, jnp.where(np.arange(u.shape[-1]) == iy, y, u))
     return u
 
 
@@ -188,7 +165,7 @@ EFFECTS = (
         "delay", "command",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(HISTORY_ROWS)),),
         channel_sites, _fixed(0.5, 1.0, 2.0, 3.5, 5.0, 7.0), _delay,
-        "dead time: commands act {delay} after they are sent", tie="any",
+        "dead time: commands act {delay} after they are sent", tie="any", basins=True,
     ),
     Effect(
         "quantization", "command", (Constant("step", "{u}", low=0.0),), channel_sites,
@@ -201,7 +178,7 @@ EFFECTS = (
     ),
     Effect(
         "backlash", "filter", (Constant("gap", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.3, 0.7),
-        _backlash, "play: after a reversal the motion waits until a gap of {gap} is crossed", tie="same_unit",
+        backlash, "play: after a reversal the motion waits until a gap of {gap} is crossed", tie="same_unit",
         lasts=True,
     ),
     Effect(
@@ -238,12 +215,12 @@ EFFECTS = (
         (Constant("limit", "{u}/s", lambda c, _, s: _reciprocal(c * s.time_step), 0.0, reciprocal=True),),
         channel_sites,
         _reciprocals(lambda scales: scales.command_step, 16, 10, 6, 3.5, 2.0, 1.2, 0.7, 0.4, 0.2),
-        _rate_limit, "commands are followed no faster than {limit}", tie="same_unit",
+        rate_limit, "commands are followed no faster than {limit}", tie="same_unit",
     ),
     Effect(
         "lag", "filter",
         (Constant("time constant", "s", lambda c, site, scales: c * scales.time_step, 0.0, 30.0),),
-        channel_sites, _fixed(0.6, 1.5, 4.5, 13.0), _lag,
+        channel_sites, _fixed(0.6, 1.5, 4.5, 13.0), lag,
         "lag: a further first-order response with time constant {time constant} lies between command and motion",
         tie="any",
     ),

@@ -1,6 +1,6 @@
 """What an effect of the vocabulary is: a law that a simulator lacks, nil where its constants are zero.
 
-A law acts at one of six places of a simulated step (see `augmented.advance`), and an augmented simulator applies all
+A law acts at one of seven places of a simulated step (see `augmented.advance`), and an augmented simulator applies all
 laws of the catalogue at all their sites, each with its constants; the bare simulator is the one with all constants
 zero. Internal constants are chosen so: a limit is held as its reciprocal.
 """
@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from simgap.engines import Table
 from simgap.kinematics import Motion, on_body
 from simgap.layout import Layout
 
-Place = Literal["command", "filter", "before", "push", "after", "sensing"]
+Place = Literal["command", "filter", "before", "engine", "push", "after", "sensing"]
 HISTORY_ROWS = 8
 """Past commands an augmented simulator remembers: the longest dead time, in rows."""
 SENSED_ROWS = 4
@@ -37,10 +38,12 @@ class Memory(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What is known of a row beside state and command: session time [s], interval over the nominal one [-]."""
+    """A row besides its state and command: session time [s], interval over the nominal one [-], and the table of an
+    engine for this row, if there is one."""
 
     time_s: Float[Array, ""]
     interval: Float[Array, ""]
+    table: Table | None = None
 
 
 class Scales(NamedTuple):
@@ -109,8 +112,8 @@ class Effect:
     "same_unit": alike axes; "any"). lasts: what a filter remembers outlasts any rest; it hangs on where commands
     turned, not on how long ago. jagged: the likelihood has many summits along the constant. basins: it has a few; the
     simulator's parameters lead to one with too small a constant, so that fits begin at all starts. event: it acts
-    during a stretch of one session. law: see the module of its place. says: a sentence for people, with the constants'
-    names to fill in.
+    during a stretch of one session. coarse: it is about steps as long as a row, which an engine cuts into many. law:
+    see the module of its place. says: a sentence for people, with the constants' names to fill in.
     """
 
     id: str
@@ -125,6 +128,7 @@ class Effect:
     jagged: bool = False
     basins: bool = False
     event: bool = False
+    coarse: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
 
     @property
@@ -154,7 +158,7 @@ def channel_sites(layout: Layout) -> tuple[Site, ...]:
     """Every command channel."""
     sites = []
     for i, f in enumerate(layout.schema.command):
-        where = np.argwhere(layout.command == i)
+        where = np.argwhere(layout.driven == i)
         outputs: tuple[str, ...] = ()
         if len(where):
             body, axis = map(int, where[0])
@@ -168,12 +172,18 @@ def axis_sites(layout: Layout) -> tuple[Site, ...]:
     """Every (body, axis) that can be pushed, in the order of `axis_indices`."""
     sites = []
     for b, a in axis_indices(layout):
-        column = layout.command[b, a]
+        column = layout.driven[b, a]
         channels = (layout.schema.command[column].name,) if column >= 0 else ()
         (name,) = layout.outputs(b, (a,))
-        unit = layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
+        unit = layout.schema.state[layout.velocity[b, a]].effort or _unit_of_push(layout, b, a)
         sites.append(Site(name, channels, layout.shown_in(b, (a,)), layout.bodies[b], unit))
     return tuple(sites)
+
+
+def _unit_of_push(layout: Layout, b: int, a: int) -> str:
+    """That of the command in which a push enters; of the velocity, where there is none."""
+    column = layout.command[b, a]
+    return layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
 
 
 def axis_indices(layout: Layout) -> list[tuple[int, int]]:

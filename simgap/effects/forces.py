@@ -69,7 +69,7 @@ def _slope(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def _bias(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """c, in the body's own frame."""
+    """c, in the body's own frame, or on the joint."""
     return on_axes(step.layout, c[0])
 
 
@@ -80,6 +80,14 @@ def _external(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
         along = c[1, k] - step.now.heading[b]
         out = out + on_body(step.layout, b, X, c[0, k] * jnp.stack([jnp.cos(along), jnp.sin(along)]))
     return out
+
+
+def _axes_of_bodies(layout: Layout) -> tuple[Site, ...]:
+    return () if layout.jointed else axis_sites(layout)
+
+
+def _axes_of_joints(layout: Layout) -> tuple[Site, ...]:
+    return axis_sites(layout) if layout.jointed else ()
 
 
 def _pushable(layout: Layout) -> list[int]:
@@ -141,8 +149,12 @@ EFFECTS = (
         "tilted ground pulls by ({pull x}, {pull y}) of the walking speed in the world's x and y",
     ),
     Effect(
-        "body_frame_bias", "push", (Constant("drift", "{u}"),), axis_sites, _fraction_of_command(0.05), _bias,
+        "body_frame_bias", "push", (Constant("drift", "{u}"),), _axes_of_bodies, _fraction_of_command(0.05), _bias,
         "a steady drift of {drift} in the robot's own frame",
+    ),
+    Effect(
+        "constant_load", "push", (Constant("load", "{u}"),), _axes_of_joints, _fraction_of_command(0.05), _bias,
+        "a constant load of {load} acts on the joint",
     ),
     Effect(
         "external_push", "push", (Constant("velocity", "{u}", low=0.0), Constant("direction", "rad", shapes=True)),
@@ -151,7 +163,11 @@ EFFECTS = (
         form="world_frame",
     ),
     Effect(
-        "external_push", "push", (Constant("velocity", "{u}"),), axis_sites, _fraction_of_command(0.2), _bias,
+        "external_push", "push", (Constant("velocity", "{u}"),), _axes_of_bodies, _fraction_of_command(0.2), _bias,
         "a disturbance from outside pushes by {velocity} along the robot's own axis", event=True, form="own_frame",
+    ),
+    Effect(
+        "external_push", "push", (Constant("load", "{u}"),), _axes_of_joints, _fraction_of_command(0.2), _bias,
+        "a disturbance from outside pushes the joint by {load}", event=True, form="on_joint",
     ),
 )  # fmt: skip

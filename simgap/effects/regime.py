@@ -46,6 +46,7 @@ class Feature(NamedTuple):
 def features(layout: Layout) -> list[Feature]:
     """Speed, yaw rate, reach and height of every body that has them, and every command and its size.
 
+    What turns about one axis and does nothing else, such as a joint, has a speed and no yaw.
     The own speed of a body that another carries is that beside the other's.
     """
     return [*(f for b in range(len(layout.bodies)) for f in _of_body(layout, b)), *_of_commands(layout)]
@@ -59,7 +60,8 @@ def _of_body(layout: Layout, b: int) -> Iterator[Feature]:
         if mounted:
             yield Feature(f"{body} own speed", "m/s", lambda own, *_: jnp.linalg.norm(own.velocity[b, :YAW]))
     if layout.velocity[b, YAW] >= 0:
-        yield Feature(f"{body} |yaw rate|", "rad/s", lambda own, *_: jnp.abs(own.velocity[b, YAW]))
+        turn = f"{body} speed" if layout.single(b) else f"{body} |yaw rate|"
+        yield Feature(turn, "rad/s", lambda own, *_: jnp.abs(own.velocity[b, YAW]))
     if mounted:
         only = sum(c is not None for c in layout.carrier) == 1
         yield Feature("reach" if only else f"{body} reach", "m", lambda own, *_: jnp.linalg.norm(own.position[b, :Z]))

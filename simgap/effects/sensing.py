@@ -12,14 +12,14 @@ from simgap.layout import Layout
 def _output_sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(
         Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit, "in the plane" if f.axis in ("x", "y") else "")
-        for f in layout.schema.state
+        for f in layout.schema.outputs
     )
 
 
 def _sensors(layout: Layout) -> list[tuple[str, list[int]]]:
     """Outputs that one sensor is likely to give: a body's pose, a body's velocities, or one output by itself."""
     groups: dict[str, list[int]] = {}
-    for i, f in enumerate(layout.schema.state):
+    for i, f in enumerate(layout.schema.outputs):
         what = "velocity" if f.kind == "velocity" else "pose"
         groups.setdefault(f"{f.body} {what}" if f.body else f.name, []).append(i)
     return list(groups.items())
@@ -44,17 +44,22 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row:
 
 def _scale(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """(1 + c) y."""
-    return state * (1 + c[0])
+    return state * (1 + padded(c[0], state))
 
 
 def _bias(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """y + c."""
-    return state + c[0]
+    return state + padded(c[0], state)
 
 
 def _drift(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """y + c t, t in minutes."""
-    return state + c[0] * row.time_s / 60
+    return state + padded(c[0], state) * row.time_s / 60
+
+
+def padded(c: Float[Array, " o"], state: Float[Array, " s"]) -> Float[Array, " s"]:
+    """Constants of the outputs, with zeros for the states that are not observed, which come last."""
+    return c if len(c) == len(state) else jnp.pad(c, (0, len(state) - len(c)))
 
 
 def _drifting(scales: Scales, site: int) -> list[list[float]]:

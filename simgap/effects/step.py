@@ -7,9 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from simgap.effects.augmented import Active, Augmented, Law, Theta, where
-from simgap.effects.command_path import NEVER, fading_of
+from simgap.effects.command_filters import NEVER, fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Memory, Row, Scales, Step, usual_push
-from simgap.kinematics import Motion, carried_velocity, motion, push, substituted
+from simgap.effects.sensing import padded
+from simgap.effects.stepping import Given, next_state, parts_of, pushed_state, terms_of
+from simgap.engines import is_engine
+from simgap.kinematics import Motion, carried_velocity, motion, substituted
 
 
 def remember(
@@ -33,7 +36,10 @@ def remember(
     states = jnp.tile(state, (SENSED_ROWS, 1))
     row = Row(time_s, jnp.ones(()))
     on_the_way = augmented.laws(theta, active, "command", "filter")
-    forgets = fading_of(augmented.simulator, augmented.layout, phi) if on_the_way else jnp.full_like(past[0], NEVER)
+    if on_the_way and not is_engine(augmented.simulator):
+        forgets = fading_of(augmented.simulator, augmented.layout, phi)
+    else:
+        forgets = jnp.full_like(past[0], NEVER)
 
     def run(memory: Memory, commands: Float[Array, "n u"]) -> Memory:
         return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
@@ -70,19 +76,34 @@ def follow(
     command: Float[Array, " u"],
     row: Row,
     active: Active = None,
-) -> tuple[Memory, Float[Array, " u"]]:
+) -> tuple[Memory, Float[Array, "... u"]]:
     """The command that acts, and the memory with the command sent in it: places "command" and "filter".
 
-    The catalogue's order: dead time first, then what the actuators make of the command, their limits last.
+    The catalogue's order: dead time first, then what the actuators make of the command, their limits last. For an
+    engine, the commands that act in the parts of the row.
     """
-    u, filters = command, dict(memory.filters)
+    parts, filters = parts_of(augmented), dict(memory.filters)
+    u = command if parts is None else jnp.tile(command, (parts, 1))
     for law in augmented.laws(theta, active, "command", "filter"):
         if law.effect.place == "command":
             u = law(u, u, memory, row, augmented.layout)
         else:
-            filters[law.effect.key], u = law((u, u), u, filters[law.effect.key], memory.fading)
+            filters[law.effect.key], u = _filtered(law, u, filters[law.effect.key], memory.fading)
     commands = jnp.concatenate([command[None], memory.commands[:-1]])
     return memory._replace(commands=commands, filters=filters), u
+
+
+def _filtered(
+    law: Law, u: Float[Array, "... u"], z: Float[Array, " u"], fading: Float[Array, " u"]
+) -> tuple[Float[Array, " u"], Float[Array, "... u"]]:
+    """What a filter remembers and the command that acts, part after part where a row has several."""
+    if u.ndim == 1:
+        return law((u, u), u, z, fading, 1.0)
+    acting = []
+    for part in u:
+        z, there = law((z, part), part, z, fading, 1 / len(u))
+        acting.append(there)
+    return z, jnp.stack(acting)
 
 
 def advance(
@@ -98,38 +119,44 @@ def advance(
 ) -> tuple[Memory, Float[Array, " s"]]:
     """The next state and memory.
 
-    Command path (`follow`), then what velocity is remembered ("before"), the simulator's own step, the
-    pushes that the motion before and after it causes ("push"), the step again with them, and how positions advance and
-    what stops them ("after").
+    Command path (`follow`), then what velocity is remembered ("before"), the simulator's own step with the terms of an
+    engine ("engine"), the pushes that the motion before and after it causes ("push"), the step again with them, and how
+    positions advance and what stops them ("after").
     """
-    layout, simulator = augmented.layout, augmented.simulator
+    layout = augmented.layout
     memory, u = follow(augmented, theta, memory, command, row, active)
     start = state
     for law in augmented.laws(theta, active, "before"):
         start = law(start, start, layout, scales)
 
-    then, laws = simulator.step(phi, start, u), augmented.laws(theta, active, "push")
+    given = Given(phi, u, row.table, terms_of(augmented, theta, active))
+    then = next_state(augmented, start, given)
+    laws = augmented.laws(theta, active, "push")
 
     def pushed() -> Float[Array, " s"]:
         now, expected = motion(layout, state), motion(layout, then)
         nil = jnp.zeros_like(now.velocity)
 
+        def with_push(delta: Float[Array, "b 4"]) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
+            return pushed_state(augmented, start, given, now.heading, delta)
+
         def response() -> Float[Array, "b 4"]:
             # Of the usual size: in other units a push of one is nothing beside the velocity's rounding.
             size = usual_push(layout, scales)
-            du, dv, _ = push(layout, now.heading, size * jnp.ones_like(nil))
-            moved = simulator.step(phi, start, u + du) + dv
+            moved, _ = with_push(size * jnp.ones_like(nil))
             # The frames stay: a push that turns a body is none along its other axes.
             for heading in {h for h in layout.heading if h is not None}:
                 moved = substituted(moved, heading, then[heading])
             return (motion(layout, moved).velocity - expected.velocity) / size
 
         def own() -> Motion:
-            return motion(layout, simulator.step(phi, start - carried_velocity(layout, start, start), u))
+            alone = start - carried_velocity(layout, start, start)
+            return motion(layout, next_state(augmented, alone, given))
 
-        step = Step(now, expected, response, own, u, layout, scales, row)
-        du, dv, dp = push(layout, now.heading, sum((law(nil, step) for law in laws), nil))
-        return simulator.step(phi, start, u + du) + dv + simulator.time_step * dp
+        sent = u if u.ndim == 1 else u.mean(0)
+        step = Step(now, expected, response, own, sent, layout, scales, row)
+        moved, rates = with_push(sum((law(nil, step) for law in laws), nil))
+        return moved + augmented.simulator.time_step * rates
 
     if laws:
         then = where(_any(laws), pushed, then)
@@ -152,5 +179,9 @@ def unsense(
 ) -> Float[Array, " s"]:
     """The state at rest that gives a measurement: inverse of bias, its drift, and scale."""
     found = {law.effect.key: law.c[0] for law in augmented.laws(theta, None, "sensing")}
-    bias = found.get("sensor_bias", 0.0) + found.get("sensor_bias.drift", 0.0) * time_s / 60
-    return (measured - bias) / (1 + found.get("sensor_scale", 0.0))
+
+    def of(key: str) -> Float[Array, " s"] | float:
+        return padded(found[key], measured) if key in found else 0.0
+
+    bias = of("sensor_bias") + of("sensor_bias.drift") * time_s / 60
+    return (measured - bias) / (1 + of("sensor_scale"))

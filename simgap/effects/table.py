@@ -1,4 +1,4 @@
-"""The catalogue as a page: `python -m simgap.effects.table` prints docs/effects.md."""
+"""The catalogue as a page: `python -m simgap.effects.table` prints docs/reference/effects.md."""
 
 from itertools import groupby
 
@@ -15,9 +15,9 @@ _PLACES = {
 }
 _HEAD = """# Effects: the vocabulary of the diagnosis
 
-Printed from `simgap.effects.CATALOGUE` by `python -m simgap.effects.table`. Effects on the noise are in
-[Diagnosis](diagnosis.md). `{u}` is the unit of the command, or of the axis, that an effect acts on. A name in braces
-stands for the constant of that name.
+Printed from `simgap.effects.CATALOGUE` by `python -m simgap.effects.table`. Not in it are [effects on the
+noise](../explanation/method.md#effects-on-the-noise). `{u}` is the unit of the command, or of the axis, that an effect
+acts on. A name in braces stands for the constant of that name.
 """
 
 

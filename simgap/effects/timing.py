@@ -104,7 +104,7 @@ EFFECTS = (
     Effect(
         "integration_rule", "after", (Constant("weight", "-", low=-1.5, high=1.5),), _integrated_sites,
         lambda scales, site: [[0.3]], _integration_rule,
-        "positions advance by the old velocity to a share of {weight}", tie="any",
+        "positions advance by the old velocity to a share of {weight}", tie="any", coarse=True,
     ),
     Effect(
         "sampling_interval", "after",

@@ -1,7 +1,9 @@
 """What a diagnosis leaves in its folder, and how its simulator is loaded from there."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,31 +12,39 @@ from jaxtyping import Float
 from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Acting
+from simgap.engines import Engine
 from simgap.formats.arrays import load_arrays, save_arrays
 from simgap.formats.documents import read_json, write_json, write_table, write_text
 from simgap.formats.effects import pop_acting, pop_scales, scale_arrays
 from simgap.formats.folders import remove_file
 from simgap.simulators.augmented import AugmentedSimulator
-from simgap.simulators.refitted import Refitted
+from simgap.simulators.refitted import refitted
 from simgap.simulators.spot import Spot
 from simgap.types import Schema, SimgapError, StepModel
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
 """The files; the experiment only where there is one to make."""
+PATCHED = ".patched.xml"
+"""What the name of a model file ends in that a diagnosis wrote."""
 
 
-def write(folder: Path, found: Diagnosis, page: str, schema: Schema) -> None:
-    """Statement, page, the simulator's constants with the effects in it, and the experiment if one is called for.
+def write(
+    folder: Path, found: Diagnosis, page: str, schema: Schema, models: Mapping[str, str] = MappingProxyType({})
+) -> None:
+    """Statement, page, the simulator's constants with the effects in it, the experiment if one is called for, and
+    `models`: texts of model files by their names, which end in `PATCHED`.
 
     The statement goes first and comes last: where it is, all else is of the same diagnosis.
     """
-    for name in (STATEMENT, PAGE, EXPERIMENT, MODEL):
-        remove_file(folder / name, folder)
+    for path in (*(folder / name for name in (STATEMENT, PAGE, EXPERIMENT, MODEL)), *folder.glob(f"*{PATCHED}")):
+        remove_file(path, folder)
     save_arrays(folder / MODEL, _arrays(found.model))
     if found.experiment is not None:
         columns = ("time_s", *(f.name for f in schema.command))
         rows = np.column_stack(found.experiment)
         write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
+    for name, text in models.items():
+        write_text(folder / name, text)
     write_text(folder / PAGE, page)
     write_json(folder / STATEMENT, found.statement)
 
@@ -46,7 +56,7 @@ def read_statement(folder: Path) -> dict[str, Any]:
     return read_json(folder / STATEMENT)
 
 
-def read_simulator(path: Path, simulator: StepModel) -> AugmentedSimulator:
+def read_simulator(path: Path, simulator: StepModel | Engine) -> AugmentedSimulator:
     """The simulator with the effects and the fitted parameters in `path`, the `augmented.npz` of a diagnosis of it.
 
     Raises SimgapError where the file is damaged, or is of another simulator.
@@ -63,12 +73,14 @@ def read_simulator(path: Path, simulator: StepModel) -> AugmentedSimulator:
         ) from None
 
 
-def corrected(simulator: StepModel, phi: Float[np.ndarray, " p"], acting: Acting, scales: Scales) -> AugmentedSimulator:
+def corrected(
+    simulator: StepModel | Engine, phi: Float[np.ndarray, " p"], acting: Acting, scales: Scales
+) -> AugmentedSimulator:
     """A simulator with effects and fitted parameters; ValueError where there are other numbers of them."""
-    refitted: Any = Refitted(simulator, tuple(map(float, phi)))  # a Simulator where the other is one
-    if len(refitted.nominal) != len(simulator.parameters):
-        raise ValueError(f"it has {len(refitted.nominal)} parameters, the simulator {len(simulator.parameters)}")
-    return AugmentedSimulator.of(refitted, acting, scales)
+    if len(phi) != len(simulator.parameters):
+        raise ValueError(f"it has {len(phi)} parameters, the simulator {len(simulator.parameters)}")
+    fitted: Any = refitted(simulator, phi.tolist())  # a Simulator where the other is one
+    return AugmentedSimulator.of(fitted, acting, scales)
 
 
 def _arrays(model: AugmentedModel) -> dict[str, np.ndarray]:

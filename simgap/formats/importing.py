@@ -62,7 +62,7 @@ def _sessions(path: Path, name: str, mapping: MappingFile, schema: Schema) -> It
 
 
 def _import(session: Session, mapping: MappingFile, schema: Schema, out: Path) -> dict[str, int]:
-    streams = _streams(session.read(), mapping.factors(schema))
+    streams = _streams(session.read(), mapping.factors(schema), mapping.offsets())
     pieces = resample.align(schema, streams, mapping.rate_hz, mapping.longest_gap_s)
     body = {n for n, column in mapping.columns.items() if column.frame == "body"}
     pieces = [resample.to_world(schema, piece, body) for piece in pieces]
@@ -81,7 +81,7 @@ def _import(session: Session, mapping: MappingFile, schema: Schema, out: Path) -
     return rows
 
 
-def _streams(raw: Raw, factors: dict[str, float]) -> dict[str, Stream]:
+def _streams(raw: Raw, factors: dict[str, float], offsets: dict[str, float]) -> dict[str, Stream]:
     """Every column with its stamps, in the schema's units; the earliest stamp is 0."""
     streams = {}
     for name, (time, values) in raw.items():
@@ -100,7 +100,7 @@ def _streams(raw: Raw, factors: dict[str, float]) -> dict[str, Stream]:
             raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]:g}; every "
                                  f"value must be a number of at most {LARGEST:.1e}. Cut the session "
                                  "there.")  # fmt: skip
-        streams[name] = Stream(time[fresh], factors[name] * values[fresh])
+        streams[name] = Stream(time[fresh], factors[name] * values[fresh] + offsets[name])
     zero = min(s.time_s[0] for s in streams.values())
     return {name: Stream(s.time_s - zero, s.values) for name, s in streams.items()}
 
@@ -131,7 +131,7 @@ def _refuse_without_unit(path: Path, mapping: MappingFile, schema: Schema) -> No
     if silent:
         raise ConfigError(
             f"{path}: a LeRobot data set does not say its units, and the mapping gives none for {', '.join(silent)}. "
-            "Add `unit`, such as deg or rad; for percents of a range add `scale`, what one percent is in "
+            "Add `unit`, such as deg or rad; for percents `unit: percent` and `range: [at 0, at 100]`, in "
             f"{units[silent[0]]}."
         )
 

@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from simgap.formats.column_names import nearest, unused
 from simgap.formats.documents import read_json
 from simgap.formats.tables import Columns
 from simgap.types import MOST_ROWS, RecordingError
 
 EPISODE, FRAME, STAMP = "episode_index", "frame_index", "timestamp"
-_SHOWN = 40  # columns that are listed where one is missing
 
 
 class Episode(NamedTuple):
@@ -59,8 +59,8 @@ def episodes(root: Path, wanted: Sequence[str]) -> Iterator[Episode]:
             yield Episode(f"episode_{number:06d}", partial(_columns, path, rows, places, fps))
 
 
-def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float]:
-    """Where the wanted columns are, by what meta/info.json says of the features; and frames a second."""
+def described(root: Path) -> tuple[dict[str, _Place], float]:
+    """The columns of a data set by name, by what meta/info.json says of its features; and frames a second."""
     info = read_json(root / "meta" / "info.json")
     try:
         version, features, fps = str(info["codebase_version"]), info["features"], float(info["fps"])
@@ -72,12 +72,16 @@ def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float
     if version.lstrip("v").split(".")[0] not in ("2", "3"):
         raise RecordingError(f"{root}: is a LeRobot data set of version {version}; 2 and 3 are read. Convert it with "
                              "LeRobot's own script.")  # fmt: skip
+    return there, fps
+
+
+def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float]:
+    """Where the wanted columns are; and frames a second."""
+    there, fps = described(root)
     missing = [name for name in wanted if name not in there]
     if missing:
-        known = list(there)
-        more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
-        raise RecordingError(f"{root}: has no column {', '.join(missing)}; there are {', '.join(known[:_SHOWN])}"
-                             f"{more}. Correct the mapping file.")  # fmt: skip
+        raise RecordingError(f"{root}: has no column {', '.join(missing)}{nearest(missing, there)}. "
+                             f"{unused(there, wanted)} Correct the mapping file.")  # fmt: skip
     return {name: there[name] for name in wanted}, fps
 
 
@@ -89,7 +93,7 @@ def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Pl
     names = described.get("names")
     if isinstance(names, dict):  # {"motors": [...]}
         names = [name for group in names.values() for name in group]
-    if names is None or len(names) != size:
+    if names is None or len(set(names)) != size:  # of two of one name nobody knows which is which
         names = range(size)
     if size == 1:
         yield feature, _Place(feature, None)

@@ -1,16 +1,22 @@
 """A mapping file: where every column of a robot's recordings comes from, in bags, tables and LeRobot data sets."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from simgap import resample
+from simgap.formats.column_names import listed, nearest
 from simgap.formats.validation import check
 from simgap.formats.yaml_files import read_yaml
 from simgap.types import ConfigError, Schema
 
 _LINES, _LINE = 20, 1000  # lines, and characters in each, of a message of a mapping file
+
+
+PERCENT = "percent"
+"""A unit of values that are shares of a range."""
 
 
 class _Block(BaseModel):
@@ -29,6 +35,9 @@ class Column(_Block):
     scale: float | None = Field(
         None, allow_inf_nan=False, description="In place of a unit: what the values are multiplied by."
     )
+    range: tuple[float, float] | None = Field(
+        None, description="With the unit percent: what 0 and 100 percent are, in the schema's unit."
+    )
     frame: Literal["world", "body"] | None = Field(None, description="Of the values; empty: the schema's.")
     sign: Literal[1, -1] = Field(1, description="-1 where the robot counts the other way round.")
     time: Literal["received", "header"] | None = Field(None, description="Of a bag's messages; empty: the mapping's.")
@@ -39,6 +48,8 @@ class Column(_Block):
             raise ValueError("give topic and field, for a bag, or column, for a table")
         if self.unit and self.scale is not None:
             raise ValueError("give `unit` or `scale`, not both")
+        if (self.unit == PERCENT) != (self.range is not None):
+            raise ValueError("give `unit: percent` and `range: [what 0 is, what 100 is]` together, or neither")
         if self.scale == 0:
             raise ValueError("`scale` must not be 0")
         if self.column and self.time:
@@ -67,37 +78,56 @@ class MappingFile(_Block):
     def factors(self, schema: Schema) -> dict[str, float]:
         """By what the values of every column are multiplied."""
         units = {f.name: f.unit for f in (*schema.state, *schema.command)}
-        return {
-            name: column.sign
-            * (resample.factor(column.unit or units[name], units[name]) if column.scale is None else column.scale)
-            for name, column in self.columns.items()
-        }
+        return {name: column.sign * _factor(column, units[name]) for name, column in self.columns.items()}
+
+    def offsets(self) -> dict[str, float]:
+        """What is added to the values of every column then."""
+        return {name: column.sign * column.range[0] if column.range else 0.0 for name, column in self.columns.items()}
 
 
-def read_mapping(path: Path, schema: Schema) -> MappingFile:
+def _factor(column: Column, wanted: str) -> float:
+    if column.range is not None:
+        return (column.range[1] - column.range[0]) / 100
+    return resample.factor(column.unit or wanted, wanted) if column.scale is None else column.scale
+
+
+def read_mapping(path: Path) -> MappingFile:
     """The mapping file; ConfigError names what is wrong in it."""
     values = read_yaml(path)
     try:
-        mapping = check(MappingFile, values)
-        _check_columns(mapping, schema)
+        return check(MappingFile, values)
     except ConfigError as error:
-        lines = str(error).splitlines()
-        more = [f"  and {len(lines) - _LINES} more"] if len(lines) > _LINES else []
-        raise ConfigError(f"{path}: " + "\n".join([line[:_LINE] for line in lines[:_LINES]] + more)) from None
-    return mapping
+        raise _shortened(path, error) from None
 
 
-def _check_columns(mapping: MappingFile, schema: Schema) -> None:
+def check_columns(path: Path, mapping: MappingFile, schema: Schema, known: Collection[str]) -> None:
+    """ConfigError unless the mapping file at `path` says where each column of the schema comes from, and no other;
+    `known`: all columns that its simulator could have."""
+    try:
+        _check_columns(mapping, schema, known)
+    except ConfigError as error:
+        raise _shortened(path, error) from None
+
+
+def _shortened(path: Path, error: ConfigError) -> ConfigError:
+    lines = str(error).splitlines()
+    more = [f"  and {len(lines) - _LINES} more"] if len(lines) > _LINES else []
+    return ConfigError(f"{path}: " + "\n".join([line[:_LINE] for line in lines[:_LINES]] + more))
+
+
+def _check_columns(mapping: MappingFile, schema: Schema, known: Collection[str]) -> None:
     fields = {f.name: f for f in (*schema.state, *schema.command)}
     if set(mapping.columns) != set(fields):
         missing, unknown = sorted(fields.keys() - mapping.columns), sorted(mapping.columns.keys() - fields)
         wrong = [
             f"{what} {', '.join(names)}" for what, names in (("lacks", missing), ("has the unknown", unknown)) if names
         ]
-        raise ConfigError(f"columns {' and '.join(wrong)}; it must have {', '.join(fields)}, each once.")
+        needs = f"it must have {listed(missing)} as well" if missing else "leave these out, or correct their names"
+        raise ConfigError(f"columns {' and '.join(wrong)}; {needs}{nearest(unknown, known)}. "
+                          f"Columns of the simulator: {listed(known)}.")  # fmt: skip
     for name, column in mapping.columns.items():
         try:
-            resample.factor(column.unit or fields[name].unit, fields[name].unit)
+            _factor(column, fields[name].unit)
         except ConfigError as error:
             raise ConfigError(f"columns.{name}.unit: {error}") from None
         if column.frame and column.frame != fields[name].frame and fields[name] in schema.command:

@@ -27,6 +27,7 @@ def pickle_columns(path: Path, schema: Schema, time_step: float) -> Columns:
             f"{path}: the pickle has {size:,} bytes; at most {PICKLE_LIMIT:,} are opened. "
             "Split the session, or convert it to Parquet."
         )
+    schema = schema.measured
     x, u, y = _unpickle(path, schema)
     _refuse_gap(path, schema, x, y)
     state, command = np.concatenate([x, y[-1:]]), np.concatenate([u, u[-1:]])

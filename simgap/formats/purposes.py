@@ -6,16 +6,24 @@ from typing import NamedTuple
 
 from simgap.derived import derived, sentence
 from simgap.diagnosis.inference.explain import split
+from simgap.engines import Engine
 from simgap.formats.recordings import digest, read_recordings
 from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
 
 
 class Folders(NamedTuple):
-    """Recordings to diagnose; sessions to judge by and sessions from when all was well, where they lie apart."""
+    """Recordings to diagnose; sessions to judge by and sessions from when all was well, where they lie apart; further
+    recordings to diagnose, of other experiments with the same machine."""
 
     recordings: Path
     heldout: Path | None = None
     baseline: Path | None = None
+    further: tuple[Path, ...] = ()
+
+    @property
+    def every(self) -> list[Path]:
+        """All folders that are given."""
+        return [self.recordings, *self.further, *filter(None, (self.heldout, self.baseline))]
 
 
 class Given(NamedTuple):
@@ -26,22 +34,31 @@ class Given(NamedTuple):
     label: str
 
 
-def read(folders: Folders, simulator: StepModel) -> tuple[Sessions, list[str]]:
+def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, list[str]]:
     """The sessions, and what was wrong with those left out; without a folder held out, some sessions are.
 
     Raises RecordingError as `arranged` does, and when a folder has no usable session.
     """
     errors: list[str] = []
-    recordings, *others = (folder and in_folder(folder, simulator, errors) for folder in folders)
-    assert recordings is not None
+    recordings = together([in_folder(folder, simulator, errors) for folder in (folders.recordings, *folders.further)])
+    others = (folder and in_folder(folder, simulator, errors) for folder in (folders.heldout, folders.baseline))
     return arranged(simulator.schema, recordings, *others), errors
 
 
-def in_folder(folder: Path, simulator: StepModel, errors: list[str]) -> Given:
+def in_folder(folder: Path, simulator: StepModel | Engine, errors: list[str]) -> Given:
     """The sessions of a folder; `errors` gets why others cannot be used. RecordingError where none can."""
     found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
     errors.extend(str(error) for error in bad)
     return Given(found, str(folder), folder.resolve().name)
+
+
+def together(several: Sequence[Given]) -> Given:
+    """The sessions of several places as those of one; RecordingError where a session is in two of them."""
+    first, *others = several
+    sessions = list(first.sessions)
+    for given in others:
+        sessions += _apart(given, sessions)
+    return Given(sessions, ", ".join(given.place for given in several), first.label)
 
 
 def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline: Given | None) -> Sessions:
@@ -50,7 +67,7 @@ def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline:
     Raises RecordingError when a velocity is a difference of its position, or when a session serves two purposes.
     """
     for given in (recordings, heldout, baseline):
-        if given and (differences := derived(schema, given.sessions)):
+        if given and (differences := derived(schema.measured, given.sessions)):
             raise RecordingError("\n".join(f"{given.place}: column {sentence(d)}" for d in differences))
     if heldout:
         training, judges = list(recordings.sessions), _apart(heldout, recordings.sessions)
@@ -66,7 +83,7 @@ def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:
         if same := seen.get(digest([r])):
             raise RecordingError(
                 f"{given.place}: the session {r.name} is the session {same} of another folder; a session must serve "
-                "one purpose: to be diagnosed, to judge by, or as baseline. Put it in one of the folders only."
+                "one purpose: to be diagnosed, to judge by, or as baseline. Give it in one of the folders only."
             )
     if {r.name for r in given.sessions} & {r.name for r in others}:
         return [r._replace(name=f"{given.label}/{r.name}") for r in given.sessions]

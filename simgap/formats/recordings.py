@@ -67,11 +67,15 @@ class _WithoutCommands(Schema):
 
 
 def checked(path: Path | str, schema: Schema, columns: Columns) -> Recording:
-    """Columns as a recording that can be computed with; RecordingError that names file, column, row and remedy."""
-    if schema.command:
-        recording = check_recording(schema, str(path), columns)
+    """Columns as a recording that can be computed with; RecordingError that names file, column, row and remedy.
+
+    Its state holds the columns that recordings have; the schema may have more states.
+    """
+    there = schema.measured
+    if there.command:
+        recording = check_recording(there, str(path), columns)
     else:
-        recording = check_recording(_WithoutCommands(schema.state, schema.state[:1], schema.mounts), str(path), columns)
+        recording = check_recording(_WithoutCommands(there.state, there.state[:1], there.mounts), str(path), columns)
         recording = recording._replace(command=np.empty((len(recording.time_s), 0)))
     for name in schema.columns:
         beyond = np.flatnonzero(np.abs(columns[name]) > LARGEST)

@@ -55,7 +55,7 @@ def sources(folder: Path) -> list[Path]:
 def mapping_file(path: Path) -> Path:
     """The mapping file itself; ConfigError where there is none."""
     if not path.is_file():
-        raise ConfigError(f"{path}: there is no such file. Give the mapping file (docs/own_robot.md).")
+        raise ConfigError(f"{path}: there is no such file. Give the mapping file (docs/tutorials/own_robot.md).")
     return path
 
 

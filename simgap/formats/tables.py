@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
+from simgap.formats.column_names import nearest, unused
 from simgap.types import MOST_ROWS, Field, RecordingError, Schema
 
 ROW_LIMIT = 2**20
@@ -29,7 +30,11 @@ def read_table(path: Path, columns: Sequence[str]) -> Columns:
         raise unreadable(path, error) from None
     missing = [name for name in columns if name not in found]
     if missing:
-        raise RecordingError(f"{path}: column {', '.join(missing)} is missing. Mend the mapping file, or leave it out.")
+        there = column_names(path)
+        raise RecordingError(
+            f"{path}: column {', '.join(missing)} is missing{nearest(missing, there)}. {unused(there, columns)} "
+            "Correct the mapping file, or leave the file out."
+        )
     return found
 
 
@@ -39,6 +44,16 @@ def table_columns(path: Path, schema: Schema) -> Columns:
     Raises RecordingError that names column and row, and OSError where the file cannot be opened.
     """
     return _csv_columns(path, schema) if path.suffix.lower() == ".csv" else _parquet_columns(path, schema)
+
+
+def column_names(path: Path) -> list[str]:
+    """The columns that a CSV or Parquet file has; errors as `table_columns` has them."""
+    if path.suffix.lower() == ".csv":
+        return [name.strip() for name in next(_csv_rows(path), [])]
+    try:
+        return pq.read_schema(path).names
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _damaged(path, error) from None
 
 
 def unreadable(path: Path, error: OSError) -> RecordingError:
@@ -138,9 +153,7 @@ def _parquet_columns(path: Path, schema: Schema) -> Columns:
             _refuse_duplicates(path, names, schema)
             table = file.read([name for name in schema.columns if name in names])
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise RecordingError(
-            f"{path}: is no whole Parquet file ({error}). Write or copy it again, or leave it out."
-        ) from None
+        raise _damaged(path, error) from None
     return {name: _arrow_numbers(path, name, table.column(name)) for name in table.column_names}
 
 
@@ -153,6 +166,10 @@ def _arrow_numbers(path: Path, name: str, column: pa.ChunkedArray) -> Float[np.n
             "unit of the schema. Convert the column."
         )
     return column.to_numpy().astype(np.float64)
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    return RecordingError(f"{path}: is no whole Parquet file ({error}). Write or copy it again, or leave it out.")
 
 
 def _too_many(path: Path) -> RecordingError:

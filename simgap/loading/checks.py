@@ -1,7 +1,8 @@
-"""Checks that an object is a usable `StepModel`: its members, its time step, its parameters."""
+"""Checks that an object is a usable `StepModel` or `Engine`: its members, its time step, its parameters."""
 
 from typing import Any
 
+from simgap.loading.engine_checks import check_rows
 from simgap.loading.schema_checks import check_schema
 from simgap.loading.step_checks import check_step
 from simgap.loading.user_code import RAISED, check_tuple, duplicates, has, is_finite, reason, shown
@@ -9,22 +10,26 @@ from simgap.types import ConfigError, Parameter
 
 MEMBERS = ("schema", "parameters", "time_step", "step")
 """What a `StepModel` has."""
-_HELP = "docs/simulators.md has a complete example."
+ENGINE_MEMBERS = ("schema", "parameters", "time_step", "parts", "terms", "rows")
+"""What an `Engine` has."""
+_HELP = "docs/how_to/own_simulator.md has a complete example."
 
 
 def check(simulator: Any, name: str) -> None:
-    """Raise a ConfigError that begins with `name` unless the object is a usable `StepModel`.
+    """Raise a ConfigError that begins with `name` unless the object is a usable `StepModel`, or an `Engine`: what has
+    `rows`, which are tried as `check_rows` says.
 
     The step is tried at the nominal parameters, with all states and commands zero and with typical ones: it must give
     a finite next state, the same each time, under jax.jit, jax.vmap and jax.jacfwd.
     """
-    missing = [m for m in MEMBERS if not has(simulator, m)]
+    needed = ENGINE_MEMBERS if has(simulator, "rows") else MEMBERS
+    missing = [m for m in needed if not has(simulator, m)]
     if missing:
         raise ConfigError(
-            f"{name}: a simulator must have {', '.join(MEMBERS)}; {type(simulator).__name__} lacks "
+            f"{name}: a simulator must have {', '.join(needed)}; {type(simulator).__name__} lacks "
             f"{', '.join(missing)}. Add what is missing: {_HELP}"
         )
-    members = {m: _member(simulator, m, name) for m in MEMBERS}
+    members = {m: _member(simulator, m, name) for m in needed}
     check_schema(members["schema"], name)
     _check_time_step(members["time_step"], name)
     _check_parameters(members["parameters"], name)
@@ -35,7 +40,7 @@ def check(simulator: Any, name: str) -> None:
             f"{name}: a simulator must be hashable, as compiled code is kept by it; {reason(error)}. Write "
             "@dataclass(frozen=True) over its class, with tuples for lists and arrays."
         ) from None
-    check_step(simulator, name)
+    (check_rows if "rows" in needed else check_step)(simulator, name)
 
 
 def _member(simulator: Any, member: str, name: str) -> Any:

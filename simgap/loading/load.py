@@ -3,17 +3,63 @@
 import importlib
 import importlib.util
 import sys
+from collections.abc import Callable
 from types import FunctionType, ModuleType
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
+from simgap.engines import Engine
+from simgap.formats.peek import Seen
 from simgap.loading import names, trial
+from simgap.loading.model_files import ModelFile
 from simgap.loading.names import BUILT_IN
 from simgap.loading.user_code import RAISED, has, reason
 from simgap.simulators.spot import Spot
-from simgap.types import ConfigError, StepModel
+from simgap.types import ConfigError, Sessions, StepModel
 
 
-def load(spec: str) -> StepModel:
+class Used(NamedTuple):
+    """A simulator that is used, its name, and what remembers the model file that it is of (see `recalled`)."""
+
+    simulator: StepModel | Engine
+    name: str
+    model_file: dict[str, Any] | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of a model file is left out or cannot be diagnosed, in words."""
+        return () if self.model_file is None else cast(Any, self.simulator).notes
+
+
+def prepared(simulator: str | ModelFile, see: Callable[[], Seen]) -> Used:
+    """The simulator that a name or a model file is of; `see()` looks at the recordings, which a model file is read for.
+
+    Raises as `load` and `ModelFile.engine` do.
+    """
+    if not isinstance(simulator, ModelFile):
+        return Used(load(simulator), simulator)
+    seen = see()
+    return Used(simulator.engine(seen), str(simulator), simulator.remembered(seen))
+
+
+def started(used: Used, sessions: Sessions, say: Callable[[str], None]) -> Used:
+    """What a diagnosis of these sessions starts from.
+
+    Where replays show that the stiffness of a model file's position servos is wrong by far, all are rescaled together,
+    and `say` is told: the search begins near what it looks for.
+    """
+    if used.model_file is None:
+        return used
+    from simgap.simulators.mujoco import rescaled, rescaling, scan
+
+    found = scan(cast(Any, used.simulator), sessions.fitted)
+    if found is None or not found.far:
+        return used
+    engine = rescaled(cast(Any, used.simulator), found.best)
+    say(rescaling(engine))
+    return Used(cast(Engine, engine), used.name, used.model_file | {"servo_share": found.best})
+
+
+def load(spec: str) -> StepModel | Engine:
     """The simulator that `spec` names: a built-in one, or `package.module:name`, an object or what makes one.
 
     `name` may be an instance, or a class or function of that module that gives one when called without arguments. The
@@ -23,7 +69,7 @@ def load(spec: str) -> StepModel:
     if spec in BUILT_IN:
         return Spot()
     trial.check(spec)
-    return cast(StepModel, make(find(spec), spec))
+    return cast(StepModel | Engine, make(find(spec), spec))
 
 
 def find(spec: str) -> Any:

@@ -27,9 +27,9 @@ def place(spec: str) -> Place:
     module, colon, name = spec.partition(":")
     if not colon or not name.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
         raise ConfigError(
-            f"The simulator must be {' or '.join(BUILT_IN)}, or given as package.module:name, like "
-            f"examples.drive:DRIVE; {spec!r} is neither. Write the module with dots, without .py, and the object's "
-            "name behind a colon."
+            f"The simulator must be {' or '.join(BUILT_IN)}, a model file (.xml, .mjcf, .urdf), or given as "
+            f"package.module:name, like examples.drive:DRIVE; {spec!r} is none of these. Write the module with dots, "
+            "without .py, and the object's name behind a colon."
         )
     for missing in _missing(module):
         raise ConfigError(

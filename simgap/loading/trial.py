@@ -10,6 +10,7 @@ import subprocess
 import sys
 from functools import cache
 
+from simgap.loading.model_files import ModelFile
 from simgap.loading.names import BUILT_IN, place
 from simgap.types import ConfigError
 
@@ -17,12 +18,21 @@ PATIENCE_S = 300
 """Time for importing, making and trying a simulator [s]; a diagnosis compiles its step dozens of times."""
 
 
+def check(simulator: str | ModelFile) -> None:
+    """See whether there is such a simulator, and try one of a user's own; ConfigError says what is wrong.
+
+    A model file is only looked for: it needs recordings, and runs no code of the user's.
+    """
+    if isinstance(simulator, ModelFile):
+        simulator.check()
+    elif simulator not in BUILT_IN:
+        place(simulator)
+        _try(simulator)
+
+
 @cache
-def check(spec: str) -> None:
-    """Find, make and check a simulator in another process, once; ConfigError says what is wrong, or how that ended."""
-    if spec in BUILT_IN:
-        return
-    place(spec)
+def _try(spec: str) -> None:
+    """Find, make and check a simulator in another process, once; ConfigError also says how that ended."""
     start = "import json, sys; sys.path[:] = json.load(sys.stdin); from simgap.loading.trial import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", start, spec, str(PATIENCE_S)], input=json.dumps(sys.path),
@@ -78,6 +88,6 @@ def main() -> None:
     except ConfigError as error:
         report("wrong", str(error))
     except BaseException as error:
-        report("wrong", f"{spec}: it must pass the checks of docs/simulators.md; they gave {reason(error)}.")
+        report("wrong", f"{spec}: it must pass the checks of docs/how_to/own_simulator.md; they gave {reason(error)}.")
     else:
         report("passed", "")

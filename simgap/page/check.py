@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from simgap import findings
+from simgap.engines import Engine
 from simgap.findings import Survey
 from simgap.formats.documents import write_text
 from simgap.formats.recordings import read_recordings
-from simgap.page import check_figures, render
+from simgap.page import check_figures, numbers, render
 from simgap.page.figures import source
 from simgap.survey import Column, Rate
 from simgap.types import Recording, Schema, StepModel
@@ -27,33 +28,35 @@ class Checked(NamedTuple):
     findings: list[str]
 
 
-def check(folder: Path, simulator: StepModel) -> Checked:
+def check(folder: Path, simulator: StepModel | Engine) -> Checked:
     """Read every session under the folder and survey them; RecordingError where none can be used."""
-    schema = simulator.schema
+    schema = simulator.schema.measured
     sessions, errors = read_recordings(folder, schema, simulator.time_step)
     survey = findings.look(schema, sessions)
     said = findings.findings(schema, simulator.time_step, survey)
     return Checked(sessions, [str(e) for e in errors], survey, said)
 
 
-def write(folder: Path, name: str, checked: Checked, simulator: StepModel) -> Path:
+def write(folder: Path, name: str, checked: Checked, simulator: StepModel | Engine) -> Path:
     """The page, in `folder`; returns its path."""
     path = folder / PAGE
     write_text(path, page(name, checked, simulator))
     return path
 
 
-def page(name: str, checked: Checked, simulator: StepModel) -> str:
+def page(name: str, checked: Checked, simulator: StepModel | Engine) -> str:
     """The whole document. `name`: the recordings'."""
-    schema, sessions, survey = simulator.schema, checked.sessions, checked.survey
+    schema, sessions, survey = simulator.schema.measured, checked.sessions, checked.survey
     rows, seconds = sum(len(r.time_s) for r in sessions), sum(float(r.time_s[-1] - r.time_s[0]) for r in sessions)
     longest = max(sessions, key=lambda r: len(r.time_s))
     count = len(checked.findings)
     return render.fill("check.html.jinja", {
         "name": name,
-        "facts": f"{len(sessions)} sessions, {rows:,} rows, {seconds / 60:.1f} min; {len(checked.left_out)} left out",
-        "headline": f"{count} thing{'s' * (count > 1)} look{'s' * (count == 1)} wrong" if count else
-                    "Nothing looks wrong that these checks see",
+        "facts": f"{numbers.count(len(sessions), 'session')}, {rows:,} rows, {numbers.duration(seconds)}; "
+                 f"{numbers.count(len(checked.left_out), 'file')} left out",
+        "badge": numbers.count(count, "finding") if count else "No findings",
+        "headline": f"{numbers.count(count, 'thing')} to look at before a diagnosis" if count else
+                    "These checks found nothing wrong with the recordings",
         "findings": checked.findings,
         "left_out": checked.left_out[:LISTED],
         "more_left_out": _beyond(len(checked.left_out)),

@@ -1,6 +1,5 @@
 """Pictures of a check of recordings, as SVG in bytes; equal content makes equal bytes."""
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,15 +7,14 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import StrMethodFormatter
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
+from simgap.page.marks import COLOURS, INK
+from simgap.page.svg import STYLE, svg
 from simgap.types import Field, Recording, Schema
 
 _WIDTH, _COLUMNS, _POINTS, _SESSIONS = 10.0, 3, 2000, 8
-_STYLE: dict[Any, Any] = {
-    "font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "simgap",
-          "text.parse_math": False}  # fmt: skip
-_BLUE, _GREY = "#1f5fa8", "#9aa0a8"
+_TWO = (COLOURS["augmented"], COLOURS["as_is"])
 
 
 def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
@@ -25,7 +23,7 @@ def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
     Drawn are some rows of every session, and its longest interval: fewer a session the more sessions there are.
     """
     points = max(2, _POINTS * _SESSIONS // max(len(recordings), _SESSIONS))
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH, 2.4), layout="constrained")
         ax = figure.add_subplot()
         first, low, high = 0, time_step / 2, time_step * 2
@@ -36,14 +34,14 @@ def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
             shown = np.unique([*np.linspace(0, len(dt) - 1, points).astype(int), dt.argmax()])
             drawn[i % 2].append((rows[shown], dt[shown]))
             first, low, high = first + len(dt), min(low, dt.min()), max(high, dt.max())
-        for color, parts in zip((_BLUE, _GREY), drawn, strict=True):
+        for color, parts in zip(_TWO, drawn, strict=True):
             if parts:
                 ax.plot(*np.concatenate(parts, axis=1), ".", markersize=2, color=color)
-        ax.axhline(time_step, color="black", linewidth=0.8)
+        ax.axhline(time_step, color=INK, linewidth=0.8)
         ax.set(xlabel="row, session after session", ylabel="interval [s]", yscale="log", ylim=(low / 1.1, high * 1.1))
         ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        ax.yaxis.set_minor_formatter(StrMethodFormatter("{x:.2g}"))
-        return _svg(figure)
+        ax.yaxis.set_minor_formatter(StrMethodFormatter("{x:.2g}") if high < 10 * low else NullFormatter())
+        return svg(figure)
 
 
 def columns(recording: Recording, schema: Schema) -> bytes:
@@ -52,7 +50,7 @@ def columns(recording: Recording, schema: Schema) -> bytes:
         *zip(schema.state, recording.state.T, strict=True),
         *zip(schema.command, recording.command.T, strict=True),
     ]
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         lines = -(-len(series) // _COLUMNS)
         figure = Figure(figsize=(_WIDTH, 1.3 * lines + 0.3), layout="constrained")
         axes = figure.subplots(lines, _COLUMNS, squeeze=False, sharex=True)
@@ -62,17 +60,11 @@ def columns(recording: Recording, schema: Schema) -> bytes:
             ax.set_visible(False)
         for ax in axes[-1]:
             ax.set_xlabel("time [s]")
-        return _svg(figure)
+        return svg(figure)
 
 
 def _series(ax: Axes, recording: Recording, field: Field, values: np.ndarray, command: bool) -> None:
     every = max(1, len(values) // _POINTS)
-    style = {"drawstyle": "steps-post", "color": "#d1722d"} if command else {"color": _BLUE}
+    style = {"drawstyle": "steps-post", "color": COLOURS["refitted"]} if command else {"color": COLOURS["augmented"]}
     ax.plot(recording.time_s[::every], values[::every], linewidth=0.8, **style)  # type: ignore[arg-type]
-    ax.set_title(f"{field.name} [{field.unit}]", loc="left", fontsize=8)
-
-
-def _svg(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-    return buffer.getvalue()
+    ax.set_title(f"{field.name} [{field.unit}]")

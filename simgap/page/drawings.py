@@ -3,7 +3,6 @@
 Equal content makes equal bytes. A figure's inch is 96 pixels of the page, which is 10 inches wide.
 """
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,7 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from simgap.page.marks import COLOURS, EXCESS, FONTS, GREY, HELDOUT, INK
+from simgap.page.marks import COLOURS, EXCESS, GREY, HELDOUT, INK
+from simgap.page.svg import STYLE, svg
 
 Values = Mapping[str, Any]
 
@@ -28,29 +28,6 @@ _COLUMNS = 3
 _DOTS = 120  # measured points a panel shows
 _NAME_SHOWN = 30  # characters of a session's name beside its strip
 _OVERSHOOT = 0.8  # how far a panel follows diverging predictions, in spans of what was measured
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "text.parse_math": False,  # names with dollars are names
-    "text.color": INK,
-    "axes.edgecolor": "#b9bec6",
-    "axes.labelcolor": GREY,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.titlepad": 4,
-    "axes.axisbelow": True,
-    "grid.color": "#e8eaee",
-    "grid.linewidth": 0.8,
-    "xtick.color": "#b9bec6",
-    "ytick.color": "#b9bec6",
-    "xtick.labelcolor": GREY,
-    "ytick.labelcolor": GREY,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "simgap",
-}
 
 
 def top_of_scale(values: Sequence[Any], floor: float) -> float:
@@ -59,7 +36,7 @@ def top_of_scale(values: Sequence[Any], floor: float) -> float:
     return max(float(np.nanpercentile(flat, 99)), floor)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def strips(sessions: Sequence[Values], intervals: Sequence[Values], top: float) -> bytes:
     """A strip per session, time [s] along x, colour its excess [nats a row] up to `top`; located intervals framed."""
     groups = [("Training sessions", False, GREY), ("Held-out sessions", True, HELDOUT)]
@@ -82,7 +59,7 @@ def strips(sessions: Sequence[Values], intervals: Sequence[Values], top: float) 
         label.set_color(colour)
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _strip(ax: Axes, strip: Values, intervals: Sequence[Values], y: float, top: float) -> None:
@@ -99,7 +76,7 @@ def _strip(ax: Axes, strip: Values, intervals: Sequence[Values], y: float, top: 
         ax.add_patch(Rectangle(corner, width, 0.88, fill=False, edgecolor=INK, lw=1.3, zorder=3))
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def law(fitted: Values) -> bytes:
     """The law of an effect as a line over the data it explains, dots with their errors."""
     figure = Figure(figsize=(4.5, 2.7), layout="constrained")
@@ -113,10 +90,10 @@ def law(fitted: Values) -> bytes:
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
     ax.grid(True)
-    return _svg(figure)
+    return svg(figure)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def rollouts(panels: Sequence[Values]) -> bytes:
     """A panel per output of one session: dots as measured, a line per model over time [s]."""
     columns = min(_COLUMNS, len(panels))
@@ -129,8 +106,8 @@ def rollouts(panels: Sequence[Values]) -> bytes:
         ax.set_visible(False)
     for ax in axes[max(0, len(panels) - columns) : len(panels)]:
         ax.tick_params(labelbottom=True)
-    figure.supxlabel("time [s]", fontsize=_STYLE["font.size"], color=GREY)
-    return _svg(figure)
+    figure.supxlabel("time [s]", fontsize=STYLE["font.size"], color=GREY)
+    return svg(figure)
 
 
 def _rollout(ax: Axes, panel: Values) -> None:
@@ -169,7 +146,7 @@ def _limits(measured: Float[np.ndarray, " T"], drawn: Float[np.ndarray, " k"]) -
     return low - margin, high + margin
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def commands(experiment: Values) -> bytes:
     """The commands of an experiment over time [s]: a row per channel that moves, all to their own scale."""
     time = _numbers(experiment["time_s"])
@@ -186,7 +163,7 @@ def commands(experiment: Values) -> bytes:
         ax.margins(x=0, y=0.12)
         ax.grid(True)
     axes[-1].set_xlabel("time [s]")
-    return _svg(figure)
+    return svg(figure)
 
 
 def moving_channels(experiment: Values) -> list[str]:
@@ -200,11 +177,3 @@ def _numbers(values: Any) -> Float[np.ndarray, " ..."]:
 
 def _shortened(name: str) -> str:
     return name if len(name) <= _NAME_SHOWN else f"…{name[1 - _NAME_SHOWN :]}"
-
-
-def _svg(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    figure.savefig(buffer, format="svg", dpi=200, transparent=True, metadata=metadata)
-    # Letters stay letters, in the page's own fonts; DejaVu, which comes with matplotlib, only measures them.
-    return buffer.getvalue().replace(b"'DejaVu Sans'", FONTS.encode())

@@ -20,6 +20,7 @@ def summary(effect: Values) -> dict[str, Any]:
         "places": places[:_PLACES],
         "more": max(len(places) - _PLACES, 0),
         "probability": _probability(effect),
+        "when": ", ".join(_when(effect)),
     }
 
 
@@ -47,7 +48,7 @@ def alternatives(statement: Values, figures: Figures) -> dict[str, Any]:
     return {
         "rows": [
             {
-                "name": " with ".join(map(wording.name, a["effects"])) or "nothing missing",
+                "name": " with ".join(map(wording.title, a["effects"])) or "nothing missing",
                 "probability": numbers.percent(a["probability"]),
                 "width": numbers.width(a["probability"]),
             }
@@ -56,8 +57,7 @@ def alternatives(statement: Values, figures: Figures) -> dict[str, Any]:
         "no_experiment": wording.no_experiment(statement),
         "experiment": experiment
         and {
-            "says": wording.in_words(experiment.get("statement", ""), wording.ids(statement)),
-            "separates": [wording.name(e) for e in experiment.get("separates") or []],
+            "says": experiment.get("statement", ""),
             "file": experiment.get("commands"),
         },
         "commands": figures.commands and {"src": source(figures.commands["svg"]), "still": figures.commands["still"]},
@@ -70,7 +70,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         for key, of in (("gain_nats", "on the sessions fitted"), ("heldout_gain_nats", "on held-out sessions"))
         if numbers.known(effect.get(key))
     ]
-    title = wording.name(effect["id"])
+    title = wording.title(effect["id"])
     return {
         "title": title,
         "probability": _probability(effect),
@@ -80,9 +80,9 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         "channels": effect.get("channels") or [],
         "outputs": effect.get("outputs") or [],
         "gains": gains,
-        "begins": numbers.fixed(effect["from_s"], 1) if numbers.known(effect.get("from_s")) else "",
+        "begins": _begins(effect),
         "regime": effect.get("regime"),
-        "credible": [wording.name(m) for m in effect.get("credible_set") or []],
+        "credible": [wording.title(m) for m in effect.get("credible_set") or []],
         "laws": [
             {
                 "title": law.get("title", ""),
@@ -101,6 +101,17 @@ def _shows(law: Values, effect: Values) -> bool:
     return law["effect"] == effect["id"] and all(law.get(key) == effect.get(key) for key in ("form", "where"))
 
 
+def _when(effect: Values) -> list[str]:
+    """From what time on and in which regime an effect acts; empty where it always does."""
+    begins, regime = _begins(effect), effect.get("regime")
+    return [f"from {begins} s on"] * bool(begins) + [f"where {regime}"] * bool(regime)
+
+
+def _begins(effect: Values) -> str:
+    """Seconds into the session at which an effect begins; empty where it acts throughout."""
+    return numbers.fixed(effect["from_s"], 1) if numbers.known(effect.get("from_s")) else ""
+
+
 def _probability(effect: Values) -> str:
     return numbers.percent(effect["probability"]) if numbers.known(effect.get("probability")) else ""
 
@@ -108,7 +119,7 @@ def _probability(effect: Values) -> str:
 def _constant(constant: Values) -> dict[str, str]:
     value, interval = numbers.with_interval(constant.get("value"), constant.get("ci95"))
     return {
-        "name": wording.name(constant["name"]),
+        "name": constant["name"],
         "value": value,
         "unit": numbers.unit(constant.get("unit")),
         "interval": interval,

@@ -11,7 +11,7 @@ EXCESS = ("#f7f5f1", "#fbd9a5", "#ef8a43", "#bf3021", "#64101a")
 """Colours of an excess error, from none (or less) to the top of the scale, evenly spaced."""
 FONTS = "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, Arial, Liberation Sans, sans-serif"
 
-_DARK = 0.58  # of the scale, from where ink is white
+_DARK = 0.179  # luminance at which black and white text have the same contrast (WCAG 2)
 _LOG_RATIO = 30.0  # of scores beyond which their scale is logarithmic
 _WHISKERS, _STEP = 210, 9
 _RANGE = 100
@@ -28,8 +28,11 @@ def shade(share: float) -> str:
 
 
 def ink(share: float) -> str:
-    """Colour of text that is read on `shade(share)`."""
-    return "#fff" if share > _DARK else INK
+    """Colour of text on `shade(share)`: black or white, whichever has more contrast (at least 4.5)."""
+    parts = (k / 255 for k in bytes.fromhex(shade(share)[1:]))
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    luminance = sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+    return "#fff" if luminance < _DARK else "#000"
 
 
 def whiskers(points: Sequence[tuple[str, float, Ends | None]]) -> dict[str, Any]:

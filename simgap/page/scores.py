@@ -30,8 +30,27 @@ def scores(statement: Values, figures: Figures) -> dict[str, Any]:
         "any": bool(keys),
         "models": [_model(m) for m in named],
         "rows": [row for row in rows if row],
+        "replay": _replay(statement.get("replay") or {}),
         "rollouts": [{"session": r["session"], "src": source(r["svg"]), "models": [_model(m) for m in r["models"]]}
                      for r in figures.rollouts],
+    }  # fmt: skip
+
+
+def _replay(replay: Values) -> dict[str, Any] | None:
+    """Errors in open loop, a row per position in thousandths of its unit; None without any."""
+    positions = replay.get("positions") or []
+    named = [m for m in marks.MODELS if any(m in p["errors"] for p in positions)]
+    if not named:
+        return None
+    return {
+        "over": f"{numbers.count(replay['pieces'], 'piece')} of {numbers.number(replay['seconds'])} s",
+        "models": [_model(m) for m in named],
+        "rows": [
+            {"name": p["name"], "unit": f"m{p['unit']}",
+             "cells": [numbers.number(1000 * p["errors"][m]) if numbers.known(p["errors"].get(m)) else numbers.DASH
+                       for m in named]}
+            for p in positions
+        ],
     }  # fmt: skip
 
 
@@ -69,6 +88,7 @@ def parameters(statement: Values) -> dict[str, Any]:
         "of": numbers.count(len(rows), "parameter"), "any": bool(rows),
         "moved": sum(row["moved"] for row in rows),
         "tables": [t for t in (rows[:split], rows[split:]) if t],
+        "patched": statement.get("patched"),
     }  # fmt: skip
 
 

@@ -1,10 +1,10 @@
 """View of the rounds of the search, and of what they could not have found."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from simgap.page import numbers
-from simgap.page.wording import ids, in_words, name
+from simgap.page import numbers, wording
+from simgap.page.wording import title
 
 Values = Mapping[str, Any]
 
@@ -13,37 +13,68 @@ _CANDIDATES = 8  # of a round, shown at most
 
 def tried(statement: Values) -> dict[str, Any]:
     """Rounds with their candidates by gain, the smallest sizes that would have been found, and notes."""
-    seen, known = statement.get("sensitivity") or {}, ids(statement)
+    seen, rounds = statement.get("sensitivity") or {}, statement.get("rounds") or []
     return {
-        "rounds": [_round(r) for r in statement.get("rounds") or []],
+        "rounds": [_round(r, retested(rounds[:i], r)) for i, r in enumerate(rounds)],
         "chance": numbers.percent(seen.get("chance")),
         "sizes": _sizes(seen),
-        "notes": [in_words(note, known) for note in statement.get("notes") or []],
+        "notes": statement.get("notes") or [],
     }
 
 
-def _round(tried: Values) -> dict[str, Any]:
-    candidates = sorted(tried.get("candidates") or [], key=lambda c: -(c["gain_nats"] or 0))
-    accepted, threshold = tried.get("accepted"), tried.get("threshold_nats")
-    limits = [f"threshold {numbers.fixed(threshold, 1)} nats"] if numbers.known(threshold) else []
-    limits += [f"p = {numbers.number(tried['p_value'], 2)}"] if numbers.known(tried.get("p_value")) else []
-    top = 1.02 * max([threshold or 0.0, *(c["gain_nats"] or 0.0 for c in candidates)]) or 1.0
+def retested(before: Sequence[Values], tried: Values) -> str:
+    """The accepted effect that a round only compares with its rivals, given the other effects; empty for a search.
+
+    A search leaves out what is accepted already, so a round that tries it again is no search.
+    """
+    again = [_full(c) for c in tried.get("candidates") or []]
+    accepted = [r["accepted"] for r in before if r.get("accepted")]
+    return next((name for name in accepted if name in again and not tried.get("accepted")), "")
+
+
+def _round(tried: Values, own: str) -> dict[str, Any]:
+    accepted, chance = tried.get("accepted"), wording.by_chance(tried)
+    threshold = tried.get("threshold_nats")
+    drawn = numbers.known(threshold) and not chance and not own
+    candidates = _best_of_each(tried)
+    top = 1.02 * max([threshold if drawn and threshold else 0.0, *(c["gain_nats"] or 0.0 for c in candidates)]) or 1.0
     return {
-        "accepted": name(accepted) if accepted else "",
-        "limits": ", ".join(limits),
-        "threshold": numbers.width(threshold / top) if threshold is not None and numbers.known(threshold) else "",
-        "rows": [_candidate(c, top, accepted) for c in candidates[:_CANDIDATES]],
+        "accepted": title(accepted) if accepted else "",
+        "retested": title(own),
+        "limits": _limits(tried, chance) if not own else "",
+        "threshold": numbers.width(threshold / top) if drawn and threshold else "",
+        "rows": [_candidate(c, top, accepted or own) for c in candidates[:_CANDIDATES]],
         "more": max(len(candidates) - _CANDIDATES, 0),
         "most": _gain(candidates[_CANDIDATES]) if len(candidates) > _CANDIDATES else "",
     }
 
 
-def _candidate(candidate: Values, top: float, accepted: Any) -> dict[str, Any]:
-    effect, place = str(candidate["effect"]), str(candidate.get("where") or "")
-    full = f"{effect} on {place}" if place else effect
+def _limits(tried: Values, chance: bool) -> str:
+    threshold, p_value = tried.get("threshold_nats"), tried.get("p_value")
+    if chance:
+        return f"noise alone gains as much with a probability of {numbers.number(p_value, 2)}"
+    limits = [f"threshold {numbers.fixed(threshold, 1)} nats"] if numbers.known(threshold) else []
+    return ", ".join(limits + ([f"p = {numbers.number(p_value, 2)}"] if numbers.known(p_value) else []))
+
+
+def _best_of_each(tried: Values) -> list[Values]:
+    """Every candidate where it gains most, by gain: some are tried from several starts."""
+    best: dict[str, Values] = {}
+    for candidate in sorted(tried.get("candidates") or [], key=lambda c: -(c["gain_nats"] or 0)):
+        best.setdefault(_full(candidate), candidate)
+    return list(best.values())
+
+
+def _full(candidate: Values) -> str:
+    place = candidate.get("where")
+    return f"{candidate['effect']} on {place}" if place else str(candidate["effect"])
+
+
+def _candidate(candidate: Values, top: float, chosen: str) -> dict[str, Any]:
     return {
-        "name": name(full), "gain": _gain(candidate), "width": numbers.width((candidate["gain_nats"] or 0.0) / top),
-        "accepted": accepted in (full, effect),
+        "name": title(_full(candidate)), "gain": _gain(candidate),
+        "width": numbers.width((candidate["gain_nats"] or 0.0) / top),
+        "chosen": chosen in (_full(candidate), candidate["effect"]),
     }  # fmt: skip
 
 
@@ -55,7 +86,7 @@ def _sizes(seen: Values) -> list[dict[str, Any]]:
     """For every effect the smallest size that would have been found, site by site, and the sites where none would."""
     effects: dict[str, dict[str, Any]] = {}
     for visible in seen.get("effects") or []:
-        row = effects.setdefault(visible["effect"], {"name": name(visible["effect"]), "sizes": [], "hidden": []})
+        row = effects.setdefault(visible["effect"], {"name": title(visible["effect"]), "sizes": [], "hidden": []})
         if numbers.known(visible["size"]):
             size = f"{visible['constant']} {numbers.number(visible['size'])} {numbers.unit(visible['unit'])}".rstrip()
             row["sizes"].append({"where": visible["where"], "size": size})

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from simgap.page import effects, numbers, scores, tried, where, wording
+from simgap.page import effects, marks, numbers, scores, tried, where, wording
 from simgap.page.figures import Figures
 
 Values = Mapping[str, Any]
@@ -29,7 +29,7 @@ def view(statement: Values, figures: Figures) -> dict[str, Any]:
 
 
 def _summary(statement: Values) -> dict[str, Any]:
-    """What is missing, how sure that is, and what to do."""
+    """What is missing, how sure that is, whether it helps, and what to do."""
     verdict = str(statement["verdict"])
     return {
         "title": f"Diagnosis of {statement.get('simulator', 'the simulator')}",
@@ -39,9 +39,32 @@ def _summary(statement: Values) -> dict[str, Any]:
         "warnings": statement.get("warnings") or [],
         "missing": [effects.summary(e) for e in wording.by_importance(statement.get("effects") or [])],
         "certainty": wording.certainty(statement),
+        "helps": wording.helps(statement),
+        "errors": _errors((statement.get("fit") or {}).get("models") or {}),
         "to_do": wording.to_do(statement),
-        "statement": wording.in_words(statement.get("statement", ""), wording.ids(statement)),
+        "statement": statement.get("statement", ""),
         "facts": _facts(statement.get("recordings") or {}),
+    }
+
+
+def _errors(models: Values) -> dict[str, Any] | None:
+    """Held-out errors at the longest horizon, model by model; bars are shares of the greatest."""
+    score = wording.longest(models)
+    errors = {m: models[m][score]["value"] for m in marks.MODELS if score in (models.get(m) or {})}
+    finite = [e for e in errors.values() if numbers.known(e)]
+    if not finite:
+        return None
+    return {
+        "caption": f"Held-out error {wording.metric(score)[0].partition(' ')[2]}, share of the motion",
+        "rows": [
+            {
+                "label": marks.MODELS[m],
+                "colour": marks.COLOURS[m],
+                "value": wording.share(e),
+                "width": numbers.width(e / max(finite)) if max(finite) else "0",
+            }
+            for m, e in errors.items()
+        ],
     }
 
 

@@ -11,6 +11,7 @@ from simgap.page.marks import ink, shade
 Values = Mapping[str, Any]
 
 _INTERVALS = 8  # listed at most
+_INPUTS = 3  # on which the mismatch depends, listed at most
 _UPRIGHT = 9  # regimes from which on their labels stand upright
 
 
@@ -23,6 +24,7 @@ def where(statement: Values, figures: Figures) -> dict[str, Any]:
     return {
         "outputs": [{"name": o["name"]} | _share(o["excess"]) for o in outputs],
         "regimes": [_regime(r) for r in regimes],
+        "depends_on": [d["input"] for d in (located.get("depends_on") or [])[:_INPUTS]],
         "stretches": numbers.count(len(intervals), "interval") if intervals else "",
         "intervals": [_interval(i) for i in intervals[:_INTERVALS]],
         "more_intervals": max(len(intervals) - _INTERVALS, 0),

@@ -1,12 +1,13 @@
 """Sentences of the page that depend on the statement; fixed ones stand in the template."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.report.wording import NO_COMMANDS, listed, title
 from simgap.page.marks import MODELS
-from simgap.page.numbers import fixed, interval, known, percent
+from simgap.page.numbers import DASH, fixed, interval, known, number, percent
 
 Values = Mapping[str, Any]
 
@@ -20,46 +21,23 @@ VERDICTS = {
     "inconclusive": "Cannot say",
 }
 _HEADLINES = {
-    "parameters_only": "The simulator lacks no physics: other values of its parameters explain the recordings.",
-    "nothing": "The simulator lacks nothing that these recordings can show: the two differ by noise only.",
-    "unexplained": "The simulator lacks something that none of the known effects explains.",
-    "inconclusive": "These recordings cannot show whether the simulator lacks physics.",
+    "parameters_only": "No physics is missing: with other parameter values the simulator matches the recordings.",
+    "nothing": "Nothing is missing in the simulator: it differs from these recordings by noise only.",
+    "unexplained": "Something is missing in the simulator that none of the known effects explains.",
+    "inconclusive": "These recordings cannot show whether physics is missing in the simulator.",
 }
 NO_EFFECTS = {
     "missing_physics": "No effect is described.",
     "parameters_only": "No physics is missing: other parameters of the simulator explain the difference (section 5).",
-    "nothing": "No physics is missing: what the simulator and the recordings differ by is noise.",
-    "unexplained": "Something is missing that no effect of the vocabulary explains; section 1 says where it shows.",
+    "nothing": "No physics is missing: the simulator and the recordings differ by noise only.",
+    "unexplained": "Something is missing that none of the known effects explains; section 1 says where it shows.",
     "inconclusive": "Whether an effect is missing cannot be said:",
 }
 
 
-def name(effect: Any) -> str:
-    """An effect's one name on the page: its id with spaces, its form in brackets (`reach limit (horizontal) on ee`)."""
-    ident, on, where = str(effect).partition(" on ")
-    return re.sub(r"^([^.]+)\.([^.]+)$", r"\1 (\2)", title(ident)) + on + where
-
-
 def either(effect: Values) -> str:
     """An effect and what could stand in its place."""
-    return " or ".join(name(m) for m in effect.get("credible_set") or [effect["id"]])
-
-
-def in_words(text: Any, effects: Iterable[str]) -> str:
-    """A sentence in which these effects have their names instead of their ids."""
-    marked = sorted({e for e in effects if "_" in e}, key=lambda e: (-len(e), e))
-    ids = "|".join(map(re.escape, marked))
-    return re.sub(rf"(?<!\w)({ids})(?!\w)", lambda m: name(m[0]), str(text)) if ids else str(text)
-
-
-def ids(statement: Values) -> set[str]:
-    """Every effect's id in a statement."""
-    experiment, seen = statement.get("experiment") or {}, statement.get("sensitivity") or {}
-    tried = [c for r in statement.get("rounds") or [] for c in r.get("candidates") or []]
-    found = [str(e["effect"]) for e in (*tried, *(seen.get("effects") or []))]
-    found += map(str, experiment.get("separates") or [])
-    found += [str(e["id"]) for key in ("effects", "resembles") for e in statement.get(key) or []]
-    return {e.partition(".")[0] for e in found}
+    return " or ".join(title(m) for m in effect.get("credible_set") or [effect["id"]])
 
 
 def by_importance(effects: Sequence[Values]) -> list[Values]:
@@ -78,7 +56,7 @@ def headline(statement: Values) -> str:
     if verdict != "missing_physics" or not effects:
         return " ".join(_HEADLINES.get(verdict, VERDICTS.get(verdict, verdict)).split()[:HEADLINE_WORDS])
     names = list(dict.fromkeys(map(either, effects)))
-    more = " More is missing." if more_is_missing(statement) else ""
+    more = " Something else is missing too." if more_is_missing(statement) else ""
     for shown in range(len(names), 0, -1):
         rest = [f"{len(names) - shown} more"] if shown < len(names) else []
         text = f"Missing in the simulator: {_listed([*names[:shown], *rest])}.{more}"
@@ -101,53 +79,75 @@ def more_is_missing(statement: Values) -> bool:
 
 def certainty(statement: Values) -> list[str]:
     """How sure the diagnosis is, most important first."""
-    verdict, effects, fit = statement["verdict"], statement.get("effects") or [], statement.get("fit") or {}
+    verdict, effects = statement["verdict"], statement.get("effects") or []
     undecided = [e for e in by_importance(effects) if len(e.get("credible_set") or []) > 1]
     lines = [f"{either(e)}: these recordings cannot decide which." for e in undecided]
     if verdict == "inconclusive":
         lines += [f"{r['reason'][:1].upper()}{r['reason'][1:]}." for r in statement.get("insufficient") or []]
-    if not effects:
-        lines += _closest(statement)
-    lines += _errors(fit.get("models") or {})
-    share, ends = fit.get("explained_share"), interval(fit.get("explained_share_ci95"))
-    if effects and known(share):
-        between = f" ({percent(ends[0])} to {percent(ends[1])})" if ends else ""
-        lines.append(f"Of the error that a black box can remove, these effects remove {percent(share)}{between}.")
+    lines += _against_chance(statement)
     if effects and more_is_missing(statement):
-        lines.append("More is missing than these effects; section 2 shows what is left.")
+        lines.append("Something else is missing too: section 2 shows what is left.")
     chance = (statement.get("sensitivity") or {}).get("chance")
     if verdict in ("nothing", "parameters_only") and known(chance):
-        lines.append(f"Effects of the sizes in section 6 would have been found with a chance of {percent(chance)}.")
+        lines.append(f"Effects of the sizes in section 6 would be found with a probability of {percent(chance)}.")
     return lines
 
 
-def _closest(statement: Values) -> list[str]:
-    """The effect that came closest to being accepted in the last round."""
-    tried = (statement.get("rounds") or [{}])[-1]
-    best = max(tried.get("candidates") or [], key=lambda c: c["gain_nats"] or 0.0, default=None)
-    threshold = tried.get("threshold_nats")
-    if best is None or threshold is None or (best["gain_nats"] or 0.0) >= threshold:
+def _against_chance(statement: Values) -> list[str]:
+    """How often noise alone would gain as much as the effects named, or as the best effect tried where none is."""
+    rounds = statement.get("rounds") or []
+    if statement.get("effects"):
+        chances = [r["p_value"] for r in rounds if r.get("accepted") and known(r.get("p_value"))]
+        return [f"Noise alone would gain as much with a probability of {number(max(chances), 2)}."] if chances else []
+    last = rounds[-1] if rounds else {}
+    best = max(last.get("candidates") or [], key=lambda c: c["gain_nats"] or 0.0, default=None)
+    if best is None or last.get("accepted") or not by_chance(last):
         return []
-    gains = f"{fixed(best['gain_nats'], 1)} < {fixed(threshold, 1)} nats"
-    return [f"The best effect tried ({name(best['effect'])}) gains too little to be named: {gains}."]
+    best_of_all, chance = f"The best effect tried is {title(best['effect'])}", number(last["p_value"], 2)
+    return [f"{best_of_all}; noise alone gains as much with a probability of {chance}."]
 
 
-def _errors(models: Values) -> list[str]:
-    """Held-out errors of the whole state at the longest horizon, model by model."""
-    metrics = {m for model in models.values() for m in model or {} if re.fullmatch(r"error_\d+", m)}
-    longest = max(metrics, key=lambda m: int(m[6:]), default="")
-    shown = [(label, models[m][longest]["value"]) for m, label in MODELS.items() if longest in (models.get(m) or {})]
-    if not shown:
-        return []
-    values = "; ".join(f"{label} {fixed(100 * v, 1) if known(v) else fixed(v, 1)} %" for label, v in shown)
-    return [f"Held-out error {_after(longest[6:])}, as a share of the motion: {values}."]
+def by_chance(tried: Values) -> bool:
+    """Whether noise alone may gain as much as the best effect of a round."""
+    return known(tried.get("p_value")) and tried["p_value"] > LEVEL
+
+
+def longest(models: Values) -> str:
+    """The error of the whole state at the longest horizon that any model has, such as `error_50`; empty for none."""
+    errors = {m for model in models.values() for m in model or {} if re.fullmatch(r"error_\d+", m)}
+    return max(errors, key=lambda m: int(m[6:]), default="")
+
+
+def helps(statement: Values) -> list[str]:
+    """Whether the effects named improve forecasts of held-out sessions."""
+    fit = statement.get("fit") or {}
+    models, explained = fit.get("models") or {}, fit.get("explained_share")
+    score, ends = longest(models), interval(fit.get("explained_share_ci95"))
+    errors = {m: models[m][score]["value"] for m in MODELS if score in (models.get(m) or {})}
+    after, before = errors.get("augmented"), [errors[m] for m in ("as_is", "refitted") if known(errors.get(m))]
+    lines = []
+    if statement.get("effects") and before and known(after):
+        change = f"from {share(min(before))} to {share(after)} of the motion"
+        what = "Yes: held-out error falls" if after < min(before) else "No: held-out error does not fall, it goes"
+        lines.append(f"{what} {change}.")
+    if statement.get("effects") and known(explained):
+        between = f" ({percent(ends[0])} to {percent(ends[1])})" if ends and ends[0] < ends[1] else ""
+        lines.append(f"What was found removes {percent(explained)}{between} of the error that a black box can remove.")
+    return lines
+
+
+def share(error: Any) -> str:
+    """An error as a share of the motion, to a tenth of a percent."""
+    return f"{fixed(100 * error, 1)} %" if known(error) else DASH
 
 
 def to_do(statement: Values) -> list[str]:
     """What the reader should do, most important first."""
     verdict = statement["verdict"]
     lines = {
-        "missing_physics": ["Add these effects to the simulator, with the constants of section 2."],
+        "missing_physics": [
+            "Add these effects to the simulator (constants in section 2), or load the corrected one with simgap.load()."
+        ],
         "parameters_only": ["Use the refitted parameters of section 5."],
         "nothing": ["Nothing has to change."],
         "unexplained": [_look(statement.get("located") or {})],
@@ -156,7 +156,7 @@ def to_do(statement: Values) -> list[str]:
     if verdict == "unexplained" and statement.get("resembles"):
         lines.append("Compare it with the closest matches of section 2.")
     if statement.get("experiment"):
-        lines.append(in_words(statement["experiment"].get("statement", ""), ids(statement)))
+        lines.append(statement["experiment"].get("statement", ""))
     return [line for line in lines if line]
 
 

@@ -1,21 +1,25 @@
 """A simulator with the parameters that a diagnosis fitted as its nominal ones."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Augmented
+from simgap.engines import Engine, Term, is_engine
 from simgap.types import Parameter, Schema, Simulator, StepModel
+
+Kind = TypeVar("Kind", bound=StepModel | Engine)
 
 
 @dataclass(frozen=True)
-class Refitted:
-    """`simulator` with other nominal values of its parameters; as a `Simulator`, where it is one."""
+class _Fitted(Generic[Kind]):
+    """`simulator` with other nominal values of its parameters, in all but how it steps."""
 
-    simulator: StepModel
+    simulator: Kind
     nominal: tuple[float, ...]
 
     @cached_property
@@ -34,6 +38,11 @@ class Refitted:
         """The simulator's own [s]."""
         return self.simulator.time_step
 
+
+@dataclass(frozen=True)
+class Refitted(_Fitted[StepModel]):
+    """A simulator that steps in JAX; as a `Simulator`, where it is one."""
+
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
     ) -> Float[Array, " s"]:
@@ -49,6 +58,38 @@ class Refitted:
         return cast(Simulator, self.simulator).from_body(body)
 
 
-def nominal(simulator: StepModel) -> Float[np.ndarray, " p"]:
+@dataclass(frozen=True)
+class RefittedEngine(_Fitted[Engine]):
+    """A simulator that steps many rows outside JAX, as an `Engine`."""
+
+    @property
+    def parts(self) -> int:
+        """The engine's own."""
+        return self.simulator.parts
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The engine's own."""
+        return self.simulator.terms
+
+    def rows(
+        self,
+        phi: Float[np.ndarray, " p"],
+        terms: Float[np.ndarray, "n k"],
+        state: Float[np.ndarray, "n s"],
+        command: Float[np.ndarray, "n parts u"],
+        effort: Float[np.ndarray, "n a"],
+    ) -> Float[np.ndarray, "n s"]:
+        """The engine's own."""
+        return self.simulator.rows(phi, terms, state, command, effort)
+
+
+def refitted(simulator: StepModel | Engine, phi: Sequence[float]) -> Refitted | RefittedEngine:
+    """The simulator with these values of its parameters as the nominal ones."""
+    nominal = tuple(map(float, phi))
+    return RefittedEngine(simulator, nominal) if is_engine(simulator) else Refitted(simulator, nominal)
+
+
+def nominal(simulator: StepModel | Engine) -> Float[np.ndarray, " p"]:
     """The parameters that a simulator is used with as it is: of one that a diagnosis gave, the fitted ones."""
     return Augmented(simulator).nominal

@@ -1,6 +1,7 @@
 """Learnt models and policies as `.npz`."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ from jaxtyping import Array
 
 from simgap.formats.arrays import load_arrays, save_arrays
 from simgap.formats.effects import augmented_arrays, augmented_spot
-from simgap.models import BNN, FittedSimulator, FittedSpot, Model
+from simgap.models import BNN, FittedSimulator, FittedSpot
 from simgap.policies.actor import Actor
+from simgap.prediction import Model
 from simgap.recordings import Normalisation
+from simgap.residual.model import ResidualModel
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
 from simgap.types import SimgapError
@@ -26,6 +29,13 @@ def save_model(path: Path, model: Model) -> None:
     elif isinstance(model, FittedSimulator):
         arrays = {"params": model.params, "scale": model.scale, "dof": model.dof,
                   **augmented_arrays(_augmented_spot(model.simulator))}  # fmt: skip
+    elif isinstance(model, ResidualModel):
+        own = {field.name: getattr(model, field.name) for field in fields(model)}
+        arrays = {
+            **_layer_arrays(own.pop("particles")),
+            **augmented_arrays(_augmented_spot(own.pop("simulator"))),
+            **own,
+        }
     else:
         arrays = model._asdict()
     kind = type(model).__name__
@@ -41,6 +51,8 @@ def load_model(path: Path) -> Model:
             return FittedSpot(**arrays)  # type: ignore[arg-type]  # numpy's arrays serve as jax's
         if kind == FittedSimulator.__name__:
             return FittedSimulator(augmented_spot(arrays), **arrays)  # type: ignore[arg-type]  # as above
+        if kind == ResidualModel.__name__:
+            return ResidualModel(augmented_spot(arrays), particles=_pop_layers(arrays), **arrays)  # type: ignore[arg-type]
         if kind == BNN.__name__:
             return _bnn(arrays)
     except (KeyError, TypeError, ValueError) as error:
@@ -49,7 +61,8 @@ def load_model(path: Path) -> Model:
         ) from None
     raise SimgapError(
         f"{path}: holds no model; its kind is {kind[:_KIND_SHOWN]!r} and must be {BNN.__name__}, "
-        f"{FittedSpot.__name__} or {FittedSimulator.__name__}. Give a file of the stage `train`."
+        f"{FittedSpot.__name__}, {FittedSimulator.__name__} or {ResidualModel.__name__}. "
+        "Give a file of the stage `train`."
     )
 
 

@@ -17,7 +17,7 @@ from simgap.formats.folders import remove_file, remove_folder
 from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks.params import ConcealParams, FolderParams
+from tasks.params import ArmParams, ConcealParams, FolderParams
 from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 
 ROWS, PIECES = 241, 8
@@ -56,6 +56,8 @@ def write(
             made = _engine(draw, case_draw)
         case "real":
             made = _real(draw, case_draw, real())
+        case "arm":
+            made = _arm(params.arm, draw, case_draw)
         case name:
             made = _suite(params, name, draw, case_draw)
     remove_file(workspace.manifest, workspace.root)  # first and last: without it there is no suite, whole or in part
@@ -141,7 +143,27 @@ def _real(
     return [Made(0, partial(spike, what, int(case_draw.integers(2**62)))) for what in order]
 
 
+def _arm(params: ArmParams, draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
+    """Arms with every cause, three joints and six, with velocities and without, and nulls."""
+    from concealed.arms import case  # brings the engine along
+    from concealed.arms.causes import CAUSES
+    from concealed.arms.suite import recipes
+
+    def write(recipe: case.Recipe, seed: int, folder: Path) -> dict[str, Any]:
+        made = case.conceal(recipe, params.sessions, params.rows, seed)
+        sessions.write(folder, made.measured, made.command, made.columns, made.model)
+        return made.key
+
+    unknown = [cause for cause in params.causes if cause not in CAUSES]
+    if unknown or not params.nulls + params.repeats:
+        raise SimgapError(f"conceal.arm.causes: no arm has {', '.join(unknown)}; there are {', '.join(CAUSES)}."
+                          if unknown else "conceal.arm: there must be a case; ask for nulls or repeats.")  # fmt: skip
+    parts = recipes(params.nulls, params.repeats, params.causes, params.parts, draw)
+    seeds = iter(case_draw.integers(2**62, size=sum(map(len, parts))).tolist())
+    return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
+
+
 def _config(params: ConcealParams) -> suite.Config:
-    values = params.model_dump(exclude={"seed", "round", "real"})
+    values = params.model_dump(exclude={"seed", "round", "real", "arm"})
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
     return suite.Config(**{**values, "effects": values["effects"] or tuple(FORMS)})

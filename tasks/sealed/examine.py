@@ -34,11 +34,11 @@ def chosen(manifest: dict[str, Any], params: ExamineParams) -> list[str]:
 
 
 def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> str:
-    """Identifies what a diagnosis depends on: the recordings, the seed and the diagnosing code."""
-    sessions = sorted(workspace.case(case).rglob("*.csv"))
-    if not sessions:
+    """Identifies what a diagnosis depends on: the recordings, the model, the seed and the diagnosing code."""
+    files = sorted(path for path in workspace.case(case).rglob("*") if path.is_file())
+    if not files:
         raise SimgapError(f"{workspace.case(case)}: there are no recordings of this case. Run the stage `conceal`.")
-    recorded = digest_of(sessions)
+    recorded = digest_of(files)
     return f"{code[:16]}-{recorded}-{seed}"
 
 

@@ -11,8 +11,8 @@ from jaxtyping import Float
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 
+from tasks.plots import save
 from tasks.sealed.judge import ONE
 
 RIGHT, WRONG, NEITHER, GREY = "#1f5fa8", "#bf3021", "#e0b04c", "#9aa0a8"
@@ -38,7 +38,7 @@ def power(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
            ylim=(-0.03, 1.03), title="Single effects: what is named")  # fmt: skip
     ax.grid(alpha=0.25)
     ax.legend(frameon=False)
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: int) -> None:
@@ -63,7 +63,7 @@ def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: 
     ax.set(xlabel="first name told, or verdict", ylabel="truth")
     ax.set_title(f"Confusion, {least:.0f} nats and more", fontsize=10)
     ax.grid(alpha=0.2)
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def reliability(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
@@ -79,7 +79,7 @@ def reliability(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None
     ax.set(xlabel="probability stated", ylabel="share right", xlim=(0, 1.02), ylim=(-0.03, 1.03),
            title="Reliability of the first name")  # fmt: skip
     ax.grid(alpha=0.25)
-    _save(figure, path, dpi)
+    save(figure, path, dpi)
 
 
 def failure(
@@ -106,10 +106,4 @@ def failure(
     ax.set_xlabel("row (sessions side by side)")
     ax.set_title(title, fontsize=9, loc="left")
     figure.colorbar(image, ax=ax, label="variances", pad=0.01)
-    _save(figure, path, dpi)
-
-
-def _save(figure: Figure, path: Path, dpi: int) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi, metadata={"Software": None})
-    plt.close(figure)
+    save(figure, path, dpi)

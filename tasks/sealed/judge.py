@@ -22,15 +22,17 @@ IMPROVES = 0.15
 ONE = ("single", "duel", "regime", "onset", "engine", "real")
 """Kinds with one effect, or one cause."""
 MANY = ("pair", "triple")
+NO_NAME = ("null", "parameters", "outside")
+"""Kinds of which no name is right: nothing is concealed, wrong parameters, or a law that no word describes."""
 
 
 def judge(key: Key, told: Statement | None, seconds: float | None, error: str | None) -> Row:
     """One row of the score. Of a case that failed nothing is known but that; it counts as nothing said."""
     told = told or {"verdict": "failed", "effects": [], "fit": {"models": {}}, "located": {}}
-    truth = [set(e["accept"]) for e in key["effects"]] if key["kind"] != "outside" else []
+    truth = [set(e["accept"]) for e in key["effects"]] if key["kind"] not in NO_NAME else []
     effects = sorted(told["effects"], key=lambda e: -e["gain_nats"])
     row: Row = {
-        "kind": key["kind"], "truth": "+".join(e.get("cause", e["id"]) for e in key["effects"]),
+        "kind": key["kind"], "truth": key.get("cause") or "+".join(e.get("cause", e["id"]) for e in key["effects"]),
         "strength": key["strength"], "target": key["target"], "size": key["recipe"]["size"],
         "poor": key["recipe"]["poor"],
         "noise": key["recipe"]["level"], "glitches": key["recipe"]["outliers"], "wild": key["recipe"]["wild"],
@@ -42,7 +44,7 @@ def judge(key: Key, told: Statement | None, seconds: float | None, error: str | 
         "confident_wrong": any(_confident_wrong(e, truth) for e in effects),
         "extra": sum(not any(e["id"] in t for t in truth) for e in effects),
     }  # fmt: skip
-    row |= _improvement(key, told)
+    row |= _improvement(key, told) | _open_loop(key, told) | _parameter(key, told)
     if key["kind"] in ONE:
         row |= _of_one(key, effects, truth[0])
     if key["kind"] in MANY:
@@ -71,7 +73,7 @@ def _of_one(key: Key, effects: Sequence[Mapping[str, Any]], right: set[str]) -> 
     first = effects[0] if effects else None
     row: Row = {
         "named": first is not None, "top1": first is not None and first["id"] in right,
-        "exact": len(effects) == 1 and effects[0]["id"] in right,
+        "alone": _alone(key["effects"][0], effects, right),
         "covered": any(set(e["credible_set"]) & right for e in effects) if effects else math.nan,
         "set_size": len(first["credible_set"]) if first else math.nan,
     }  # fmt: skip
@@ -86,6 +88,13 @@ def _of_one(key: Key, effects: Sequence[Mapping[str, Any]], right: set[str]) -> 
             said = next((c["value"] for c in found["constants"] if c["name"] in ("from", "onset")), said)
             row["onset_error"] = abs(said - onset) / TIME_STEP if said is not None else math.inf
     return row
+
+
+def _alone(true: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], right: set[str]) -> bool:
+    """Whether right names are all that is told, of channels that the effect acts on alone; no channels in the key: of
+    any."""
+    acts = set(true["channels"])
+    return bool(effects) and all(e["id"] in right and (not acts or set(e["channels"]) <= acts) for e in effects)
 
 
 def onset_of(key: Key) -> float | None:
@@ -130,6 +139,27 @@ def _improvement(key: Key, told: Statement) -> Row:
     refitted = models["refitted"]["error_50"]["value"]
     made = lambda model: 1 - models[model]["error_50"]["value"] / refitted if model in models else 0.0  # noqa: E731
     return {"share": made("augmented") / possible, "share_black_box": made("black_box") / possible}
+
+
+def _open_loop(key: Key, told: Statement) -> Row:
+    """Error of the corrected model in open loop, in the noise with which positions are measured: at 1 nothing is left.
+
+    corrected: with the effects that are named, or refitted where none is. Mean square over all positions.
+    """
+    replay, floor = told.get("replay"), key.get("floor")
+    if not replay or not floor:
+        return {}
+    of = lambda model: [p["errors"].get(model, p["errors"]["refitted"]) for p in replay["positions"]]  # noqa: E731
+    ratio = lambda model: float(np.sqrt(np.mean(np.square(of(model)))) / floor)  # noqa: E731
+    return {"open_loop": ratio("augmented"), "open_loop_as_is": ratio("as_is")}
+
+
+def _parameter(key: Key, told: Statement) -> Row:
+    """Relative error, after the refit, of the parameter that is wrong in the user's model."""
+    if not key.get("parameter") or "parameters" not in told:
+        return {}
+    name, true = key["parameter"]
+    return {"parameter_error": abs(told["parameters"]["after"][name] / true - 1)}
 
 
 RULE = re.compile(r"^(.*) ([<>]) (-?[0-9.e+-]+)( \S+)?$")

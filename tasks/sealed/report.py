@@ -8,7 +8,9 @@ from tasks.sealed import metrics
 from tasks.sealed.judge import Row
 from tasks.sealed.metrics import Score
 
-SHOWN = ("case", "kind", "truth", "strength", "size", "noise", "verdict", "told", "probability", "fault", "seconds")
+SHOWN = ("case", "kind", "truth", "strength", "size", "noise", "verdict", "told", "probability", "fault", "open_loop",
+         "seconds")  # fmt: skip
+"""Of every case, as far as its suite knows it."""
 
 
 def markdown(
@@ -16,13 +18,18 @@ def markdown(
     failed: Sequence[Row], pictures: Mapping[str, str],
 ) -> str:  # fmt: skip
     """The report. about: what was examined, in words; pictures: of failures, by case."""
+    shown = [name for name in SHOWN if any(name in row for row in rows)]
     lines = [f"# Sealed suite: {about['suite']}", ""]
     lines += [f"- {name}: {value}" for name, value in about.items() if name != "suite"]
-    lines += ["", "Strength is what the true form could gain on held-out sessions, in nats (docs/proof.md).", ""]
+    lines += [
+        "",
+        "Strength is what the true form could gain on held-out sessions, in nats (docs/explanation/proof.md).",
+        "",
+    ]
     lines += [f"## Failures: {len(failed)} of {len(rows)} cases", ""]
     counts = {fault: sum(r["fault"] == fault for r in failed) for fault in metrics.FAULTS}
     lines += [f"- {fault}: {count}" for fault, count in counts.items() if count]
-    lines += ["", *_rows(failed, SHOWN), ""]
+    lines += ["", *_rows(failed, shown), ""]
     lines += [f"![{case}]({picture})" for case, picture in pictures.items()]
     lines += [
         "",
@@ -38,7 +45,7 @@ def markdown(
     lines += [
         "## Every case",
         "",
-        *_rows(sorted(rows, key=lambda r: (r["kind"], r["truth"], r["strength"])), SHOWN),
+        *_rows(sorted(rows, key=lambda r: (r["kind"], r["truth"], r["strength"])), shown),
         "",
     ]
     return "\n".join(lines)

@@ -13,12 +13,13 @@ from concealed.plain import STATE, observer, refit, robot, whitened
 from concealed.strength import UNLIKE, UNSURE
 from simgap.formats.atomic import replacing_folder
 from simgap.formats.documents import read_bytes, read_json, write_json, write_table, write_text
+from simgap.formats.folders import remove_folder
 from simgap.types import SimgapError
 from tasks.params import SealedScoreParams
-from tasks.sealed import baselines, figures, metrics, report
+from tasks.sealed import baselines, figures, history, metrics, report
 from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, judge, overlap, rows_of
-from tasks.sealed.workspace import SealedWorkspace
+from tasks.sealed.workspace import EXAMINATION, SealedWorkspace
 from tasks.tracking.runs import Run
 
 
@@ -70,24 +71,31 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         record, key = read_json(workspace.record(case)), opened.keys[case]
         told = read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
         row = {"case": case, **judge(key, told, record["seconds"], record["error"])}
-        state, command = sessions.read(workspace.recordings(case))
-        if key["kind"] == "regime" and told is not None:
-            rules = [r["when"] for r in told["located"]["regimes"]]
-            row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
         row["fault"] = metrics.fault(row)
-        row |= baselines.sparse(state, command, key)
+        if not workspace.has_models:
+            row |= _of_spot(workspace, case, key, told)
         found.append(row)
         report(len(found), {})
     return found
+
+
+def _of_spot(workspace: SealedWorkspace, case: str, key: dict[str, Any], told: dict[str, Any] | None) -> Row:
+    """What only the Spot's states can be asked: where a regime lies, and what another method says."""
+    state, command = sessions.read(workspace.recordings(case))
+    row = baselines.sparse(state, command, key)
+    if key["kind"] == "regime" and told is not None:
+        rules = [r["when"] for r in told["located"]["regimes"]]
+        row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
+    return row
 
 
 @task(task_run_name="report-{workspace.suite}")
 def write(
     workspace: SealedWorkspace, opened: Opened, found: list[Row], params: SealedScoreParams, commit: str
 ) -> list[metrics.Score]:
-    """Report, figures, every case, the manifest and the metrics; returns the table.
+    """Report, figures, every case, the manifest, the metrics and the history; returns the table.
 
-    An earlier report stays until this one is whole.
+    An earlier report stays until this one is whole. Of an examination's failures there are pictures.
     """
     table, dpi = metrics.table(found, np.random.default_rng(params.seed)), params.figure_dpi
     failed = metrics.failures(found)
@@ -96,20 +104,26 @@ def write(
         "round": opened.manifest["round"], "commit": commit or "unknown",
         "cases": f"{len(found)} of {len(opened.keys)}",
     }  # fmt: skip
+    drawn = params.pictures if workspace.suite == EXAMINATION else 0
     with replacing_folder(_folder(workspace, opened)) as folder:
         figures.power(folder / "power.png", metrics.power(found), dpi)
         figures.confusion(folder / "confusion.png", found, 6.0, dpi)
         figures.reliability(folder / "reliability.png", metrics.reliability(found), dpi)
         pictures = {}
-        for row in failed[: params.pictures]:
+        for row in failed[:drawn]:
             pictures[row["case"]] = f"failures/{row['case']}.png"
             _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
-        text = report.markdown(about, found, table, baselines.table(found), failed, pictures)
+        others = [] if workspace.has_models else baselines.table(found)
+        text = report.markdown(about, found, table, others, failed, pictures)
         write_text(folder / "report.md", text)
         columns = list(dict.fromkeys(name for row in found for name in row))
         write_table(folder / "cases.csv", [{c: row.get(c) for c in columns} for row in found])
         write_json(folder / "manifest.json", opened.manifest)
-    write_json(workspace.metrics, {s.name: {"value": s.value, "ci95": [s.low, s.high], "n": s.n} for s in table})
+    for earlier in set(workspace.reports.glob("*-round-*")) - {_folder(workspace, opened)}:
+        remove_folder(earlier, workspace.reports)
+    write_json(workspace.metrics, metrics.headline(table))
+    version = {"suite": workspace.suite, "code": opened.code[:8], "round": opened.manifest["round"]}
+    history.add(workspace, {**version, "cases": len(found), "of": len(opened.keys)}, table)
     return table
 
 

@@ -6,9 +6,12 @@ from pathlib import Path
 from tasks import names
 
 EXAMINATION = "examination"
-SUITES = ("development", EXAMINATION, "engine", "real")
+ARM = "arm"
+SUITES = ("development", EXAMINATION, "engine", "real", ARM)
 BEFORE, AFTER = "before", "after"
 """Folders of a case whose question is what changed."""
+MODEL = "robot.xml"
+"""The model of the machine, in the folder of a case that has one; else it is the Spot."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,11 @@ class SealedWorkspace:
 
     def __post_init__(self) -> None:
         names.check(self.suite, "the suite")
+
+    @property
+    def has_models(self) -> bool:
+        """Whether its cases are machines with a model file of their own; else all are the Spot."""
+        return self.suite == ARM
 
     @property
     def lock(self) -> Path:
@@ -75,10 +83,24 @@ class SealedWorkspace:
     def metrics(self) -> Path:
         return self.root / "reports" / "sealed" / f"{self.suite}.json"
 
+    @property
+    def history(self) -> Path:
+        """The scores of every version of the diagnosis, of all suites."""
+        return self.root / "reports" / "sealed" / "history.csv"
+
+    @property
+    def history_lock(self) -> Path:
+        """Held while that table is changed."""
+        return self.root / "data" / "sealed" / ".history.lock"
+
+    @property
+    def reports(self) -> Path:
+        """The folder of the suite's latest report."""
+        return self.root / "reports" / "sealed" / self.suite
+
     def report(self, code: str, round_: int) -> Path:
-        """What came out for a version of the diagnosing code, in a round; the reports of others stay."""
-        name = names.check(f"{code[:8]}-round-{round_}", "the report's folder")
-        return self.root / "reports" / "sealed" / self.suite / name
+        """What came out for a version of the diagnosing code, in a round; it replaces the report of the last."""
+        return self.reports / names.check(f"{code[:8]}-round-{round_}", "the report's folder")
 
     def examination(self, case: str) -> Path:
         """What is known of a case that was diagnosed."""

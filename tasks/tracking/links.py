@@ -7,23 +7,24 @@ import zlib
 from collections.abc import Sequence
 from typing import Any
 
+from mlflow.utils.mlflow_tags import MLFLOW_PARENT_RUN_ID
+
 from tasks.tracking.store import Store, without_password
 
 # The pages open in a mode for language models otherwise.
 _TRAINING = "?workflowType=machine_learning"
-MODEL_COLUMNS = (
-    "metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`seconds`",
-    "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`",
+MODEL_RESULTS = (
+    "metrics.`nll`", "metrics.`validation_nll`", "metrics.`calibration_error`", "metrics.`training_seconds`",
 )  # fmt: skip
-POLICY_COLUMNS = (
+POLICY_RESULTS = (
     "metrics.`helix/mean_error`", "metrics.`ellipse/mean_error`", "metrics.`return`", "metrics.`lost`",
-    "params.`model`", "params.`sample_size`", "params.`seed`", "tags.`config`",
+    "metrics.`training_seconds`",
 )  # fmt: skip
-DIAGNOSIS_COLUMNS = (
+DIAGNOSIS_RESULTS = (
     "metrics.`augmented/nll_1`", "metrics.`refitted/nll_1`", "metrics.`black_box/nll_1`", "tags.`verdict`",
-    "tags.`effects`", "params.`simulator`", "params.`transitions`", "tags.`config`",
+    "tags.`effects`",
 )  # fmt: skip
-"""Columns shown where runs stand side by side, sorted by the first; see `to_comparison`."""
+"""Results shown where runs stand side by side, sorted by the first; see `to_comparison`."""
 
 
 def to_run(store: Store, run_id: str) -> str:
@@ -36,16 +37,29 @@ def to_run(store: Store, run_id: str) -> str:
     return f"{name}: {served}, then http://127.0.0.1:5000/{page}"
 
 
-def to_comparison(store: Store, view: str, query: str, columns: Sequence[str]) -> str:
-    """Where the runs that a query finds stand side by side in the pages, as the view of this name: these columns, the
-    least value of the first on top; empty where no pages are served."""
+def to_comparison(store: Store, view: str, query: str, results: Sequence[str]) -> str:
+    """Where the runs that a query finds stand side by side in the pages, as the view of this name: the parameters that
+    differ and these results, the least value of the first on top; empty where no pages are served."""
     if not store.pages:
         return ""
-    state = {"searchFilter": query, "selectedColumns": columns, "orderByKey": columns[0], "orderByAsc": True}
+    columns = [*differing(store, query), *results]
+    state = {"searchFilter": query, "selectedColumns": columns, "orderByKey": results[0], "orderByAsc": True}
     # As the pages' own button for sharing a view writes it.
     packed = "deflate;" + base64.b64encode(zlib.compress(json.dumps(state).encode())).decode()
     store.client.set_experiment_tag(store.experiment_id, f"mlflow.sharedViewState.{view}", packed)
     return f"{store.pages}/#/experiments/{store.experiment_id}/runs{_TRAINING}&viewStateShareKey={view}"
+
+
+def differing(store: Store, query: str) -> list[str]:
+    """Columns of the parameters that have several values among the runs that a query finds, parents of runs apart."""
+    found = store.client.search_runs([store.experiment_id], query)
+    parents = {run.data.tags.get(MLFLOW_PARENT_RUN_ID) for run in found}
+    values: dict[str, set[str]] = {}
+    for run in found:
+        if run.info.run_id not in parents:
+            for name, value in run.data.params.items():
+                values.setdefault(name, set()).add(value)
+    return [f"params.`{name}`" for name, several in values.items() if len(several) > 1]
 
 
 def settings(store: str, artifacts: str) -> dict[str, str]:

@@ -13,8 +13,9 @@ from mlflow.entities import LoggedModelOutput
 from mlflow.models import Model, ModelSignature
 from mlflow.types import ColSpec, Schema
 
+from simgap.simulators.spot import SCHEMA
 from simgap.types import Schema as RobotSchema
-from tasks import augmented_pyfunc, policy_pyfunc, pyfunc
+from tasks import augmented_pyfunc, history, policy_pyfunc, pyfunc
 from tasks.tracking.runs import Run
 
 MODEL = "model"
@@ -24,23 +25,21 @@ _REQUIREMENTS = [f"{name}=={version(name)}" for name in ("mlflow", "jax", "jaxty
 
 
 class _Pyfunc(NamedTuple):
-    """A file and the module that loads it, with its configuration; columns that go in, and that come out."""
+    """A file and the module that loads it, with its configuration; a table that may go in, and what comes out."""
 
     loader: str
     data: Path
     config: Mapping[str, Any]
-    inputs: Sequence[str]
+    example: pd.DataFrame
     outputs: Sequence[str]
 
 
-def log_model(run: Run, model_path: Path, columns_in: Sequence[str], columns_out: Sequence[str]) -> str:
+def log_model(run: Run, model_path: Path) -> str:
     """Log a file of `save_model`; returns its URI.
 
-    A table of `columns_in` goes in, one of `mean_<output>` and `std_<output>` comes out; see `tasks.pyfunc`.
+    A session's table goes in, one of `mean_<output>` and `std_<output>` comes out; see `tasks.pyfunc`.
     """
-    predicted = [f"{moment}_{name}" for moment in ("mean", "std") for name in columns_out]
-    config = pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
-    return _log(run, _Pyfunc(pyfunc.__name__, model_path, config, columns_in, predicted))
+    return _log(run, _Pyfunc(pyfunc.__name__, model_path, {}, history.example(SCHEMA), pyfunc.output_columns()))
 
 
 def log_policy(run: Run, policy_path: Path, columns_in: Sequence[str], columns_out: Sequence[str]) -> str:
@@ -48,15 +47,15 @@ def log_policy(run: Run, policy_path: Path, columns_in: Sequence[str], columns_o
 
     See `tasks.policy_pyfunc`.
     """
-    config = pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
-    return _log(run, _Pyfunc(policy_pyfunc.__name__, policy_path, config, columns_in, columns_out))
+    config = policy_pyfunc.Columns(inputs=[*columns_in], outputs=[*columns_out])
+    example = pd.DataFrame(np.zeros((1, len(columns_in))), columns=list(columns_in))
+    return _log(run, _Pyfunc(policy_pyfunc.__name__, policy_path, config, example, columns_out))
 
 
 def log_simulator(run: Run, path: Path, name: str, schema: RobotSchema) -> str:
     """Log the constants of a diagnosed simulator called `name`; returns its URI. See `tasks.augmented_pyfunc`."""
-    inputs, outputs = augmented_pyfunc.input_columns(schema), augmented_pyfunc.output_columns(schema)
-    config = augmented_pyfunc.Origin(simulator=name)
-    return _log(run, _Pyfunc(augmented_pyfunc.__name__, path, config, inputs, outputs))
+    config, outputs = augmented_pyfunc.Origin(simulator=name), augmented_pyfunc.output_columns(schema)
+    return _log(run, _Pyfunc(augmented_pyfunc.__name__, path, config, history.example(schema), outputs))
 
 
 def _log(run: Run, of: _Pyfunc) -> str:
@@ -70,10 +69,10 @@ def _log(run: Run, of: _Pyfunc) -> str:
             Path(scratch) / MODEL,
             loader_module=of.loader,
             data_path=of.data,
-            model_config=dict(of.config),
+            model_config=dict(of.config) or None,
             mlflow_model=Model(logged.artifact_location, run.run_id, model_id=logged.model_id),
-            signature=ModelSignature(_numbers(of.inputs), _numbers(of.outputs)),
-            input_example=pd.DataFrame(np.zeros((1, len(of.inputs))), columns=list(of.inputs)),
+            signature=ModelSignature(_numbers(list(of.example)), _numbers(of.outputs)),
+            input_example=of.example,
             pip_requirements=_REQUIREMENTS,
         )
         client.log_model_artifacts(logged.model_id, str(Path(scratch) / MODEL))

@@ -16,6 +16,7 @@ DOORS = {
         "tasks/plots.py",
         "simgap/page/check_figures.py",
         "simgap/page/drawings.py",
+        "simgap/page/svg.py",
         "tasks/track_plots.py",
         "tasks/sealed/figures.py",
     },
@@ -23,6 +24,10 @@ DOORS = {
     "yaml": {"simgap/formats/yaml_files.py"},
     "mcap": {"simgap/formats/bag_messages.py"},
     "rosbags": {"simgap/formats/bag_messages.py"},
+    "mujoco": {
+        f"simgap/simulators/mujoco/{name}.py"
+        for name in ("attributes", "build", "engine", "machine", "patch", "payloads", "reading", "steps", "terms")
+    },
 }
 
 
@@ -88,16 +93,16 @@ def test_a_stage_has_one_name_everywhere() -> None:
 
 
 def test_a_sealed_stage_has_one_name_everywhere() -> None:
-    stages = stage_names(ROOT / "sealed" / "dvc.yaml")
+    stages = stage_names(ROOT / "pipelines" / "sealed" / "dvc.yaml")
     assert stages == ["conceal", "examine", "score"]
-    assert list(yaml.safe_load((ROOT / "sealed" / "params.yaml").read_text())) == stages
+    assert list(yaml.safe_load((ROOT / "pipelines" / "sealed" / "params.yaml").read_text())) == stages
     for stage in stages:
         assert (ROOT / "flows" / "sealed" / f"{stage}.py").exists()
         assert (ROOT / "tasks" / "sealed" / f"{stage}.py").exists()
 
 
 def test_no_stage_before_the_score_depends_on_a_key() -> None:
-    stages = yaml.safe_load((ROOT / "sealed" / "dvc.yaml").read_text())["stages"]
+    stages = yaml.safe_load((ROOT / "pipelines" / "sealed" / "dvc.yaml").read_text())["stages"]
     keys = "keys/${suite}"
     assert keys in [next(iter(o)) if isinstance(o, dict) else o for o in stages["conceal"]["outs"]]
     assert keys not in stages["examine"]["deps"]
@@ -116,13 +121,13 @@ def test_what_conceals_imports_nothing_of_the_project() -> None:
 
 
 def test_both_pipelines_are_the_same_but_for_the_source() -> None:
-    """spot/dvc.yaml is dvc.yaml with another source, run from the project's root."""
-    ours, spots = (yaml.safe_load((ROOT / p).read_text()) for p in ("dvc.yaml", "spot/dvc.yaml"))
+    """pipelines/spot/dvc.yaml is dvc.yaml with another source, run from the project's root."""
+    ours, spots = (yaml.safe_load((ROOT / p).read_text()) for p in ("dvc.yaml", "pipelines/spot/dvc.yaml"))
     assert (ours.pop("vars"), spots.pop("vars")) == ([{"source": "virtual"}], [{"source": "spot"}])
     for stage in spots["stages"].values():
-        assert stage.pop("wdir") == ".."
+        assert stage.pop("wdir") == "../.."
     (ours_plot,), (spots_plot,) = ours.pop("plots"), spots.pop("plots")
-    assert str(spots_plot).replace("../reports/spot", "reports/virtual") == str(ours_plot)
+    assert str(spots_plot).replace("../../reports/spot", "reports/virtual") == str(ours_plot)
     for pipeline, own_dep, own_param in ((ours, "simgap/robots", "recordings.virtual"),
                                          (spots, "data/external/spot", "recordings.spot")):  # fmt: skip
         pipeline["stages"]["recordings"]["deps"].remove(own_dep)

@@ -9,7 +9,7 @@ FOLDERS = ("concealed", "simgap", "tasks", "flows", "benchmarks", "examples")
 FILE_LINES = 250
 FUNCTION_LINES = 60
 ARGUMENTS = 6
-"""Of a function, `self` and `cls` not counted. A config object or a NamedTuple takes the rest."""
+"""Of a function, but for `self`, `cls` and a form's name of the run. A config object or a NamedTuple takes the rest."""
 
 # Functions of the numerics with seven to nine arguments, the symbols of their equations. To be bundled.
 BEING_REBUILT = ("simgap/effects/step.py",)
@@ -40,11 +40,16 @@ def offences(name: str, text: str) -> Iterator[str]:
 
 
 def count_arguments(arguments: ast.arguments) -> int:
-    """Arguments of a function: `*args` and `**kwargs` count as one each, `self` and `cls` as none."""
+    """Arguments of a function: `*args` and `**kwargs` count as one each, `self`, `cls` and a run's name as none."""
     positional = [*arguments.posonlyargs, *arguments.args]
-    if positional and positional[0].arg in ("self", "cls"):
+    if positional and (positional[0].arg in ("self", "cls") or is_run_name(positional[0])):
         del positional[0]
     return len(positional) + len(arguments.kwonlyargs) + sum(a is not None for a in (arguments.vararg, arguments.kwarg))
+
+
+def is_run_name(argument: ast.arg) -> bool:
+    """Whether it is the field of a form that names the run: a bundle with it would nest every other field."""
+    return isinstance(argument.annotation, ast.Name) and argument.annotation.id == "RunName"
 
 
 def found() -> dict[str, list[str]]:

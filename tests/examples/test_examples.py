@@ -195,13 +195,13 @@ def test_the_command_line(tmp_path: Path) -> None:
 
 
 def printed() -> str:
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "simulators.md").read_text(), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "how_to" / "own_simulator.md").read_text(), re.DOTALL)
     return code
 
 
 def test_the_pages_example_works_under_the_name_that_the_page_gives_it(tmp_path: Path) -> None:
     """`pendulum:PENDULUM finds ./pendulum.py`, and not the library of that name."""
-    page = (ROOT / "docs" / "simulators.md").read_text()
+    page = (ROOT / "docs" / "how_to" / "own_simulator.md").read_text()
     ((spec, file),) = re.findall(r"--simulator (\w+:\w+)` finds `\./([\w.]+)`", page)
     (tmp_path / file).write_text(printed())
     time = np.arange(400) * 0.02

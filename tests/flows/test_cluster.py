@@ -10,7 +10,6 @@ from typing import Any
 
 import psutil
 import pytest
-from prefect.settings import PREFECT_API_URL, temporary_settings
 from test_pipeline import ROOT, TINY, children, prepare
 
 from flows import train
@@ -34,9 +33,7 @@ def workers() -> list[psutil.Process]:
     return there
 
 
-def test_a_killed_worker_is_replaced_and_its_cell_begun_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str]
-) -> None:
+def test_a_killed_worker_is_replaced_and_its_cell_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     overrides: dict[str, Any] = {**TINY, "train": {**TINY["train"], **TRAIN}}
     params, workspace = load_params(ROOT / "params.yaml", overrides), Workspace(Path(), "virtual")
     monkeypatch.chdir(tmp_path)
@@ -60,8 +57,7 @@ def test_a_killed_worker_is_replaced_and_its_cell_begun_again(
 
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
-    with temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}):
-        train.run("virtual", params, Path())
+    train.run("virtual", params, Path())
     killer.join(10)
     assert seen["addresses"] == {"127.0.0.1"}
     assert [read_json(record)["steps"] for record in records] == 4 * [STEPS]

@@ -1,5 +1,6 @@
 """The commands as a person's mistakes meet them, each in a process of its own: quick, clear, never silent."""
 
+import os
 import re
 import signal
 import subprocess
@@ -44,7 +45,7 @@ MISTAKES: list[tuple[list[str], int, str]] = [
     (
         [SIMGAP, "check", "rail", "--simulator", "sport"],
         1,
-        "The simulator must be spot, or given as package.module:name",
+        "The simulator must be spot, a model file (.xml, .mjcf, .urdf), or given as package.module:name",
     ),
     ([SIMGAP, "check", "rail", "--simulator", "no.such:X"], 1, "no.such:X: there is no module no."),
     ([SIMGAP, "check", "rail", "--simulatr", "spot"], 2, "unrecognized arguments: --simulatr"),
@@ -68,7 +69,11 @@ MISTAKES: list[tuple[list[str], int, str]] = [
     ),
     ([sys.executable, "-m", "flows.reproduce", "--workspace", "w"], 1, "params.yaml: there is no such file here"),
     ([sys.executable, "-m", "flows.sealed.conceal", "developmnet"], 2, "invalid choice: 'developmnet'"),
-    ([sys.executable, "-m", "flows.sealed.score", "development"], 1, "sealed/params.yaml: there is no such file here"),
+    (
+        [sys.executable, "-m", "flows.sealed.score", "development"],
+        1,
+        "pipelines/sealed/params.yaml: there is no such file here",
+    ),
 ]
 
 
@@ -179,8 +184,8 @@ def work():
     import numpy as np
     if sys.argv[1] == "plain":
         np.linalg.cholesky(-np.eye(2))
-    from prefect import flow
-    flow(np.linalg.cholesky, name="any", validate_parameters=False)(-np.eye(2))
+    from flows.flow import flow
+    flow("any")(lambda: np.linalg.cholesky(-np.eye(2)))()
 
 guarded(work)
 """
@@ -196,11 +201,11 @@ guarded(work)
     ],
 )
 def test_an_unexpected_error_ends_in_a_message_and_its_traceback_in_a_file(
-    tmp_path: Path, prefect_server: dict[str, str], how: str, words: str
+    tmp_path: Path, how: str, words: str
 ) -> None:
     (tmp_path / "work.py").write_text(UNEXPECTED)
     done = subprocess.run(
-        [sys.executable, "work.py", how], cwd=tmp_path, env={**prefect_server, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "work.py", how], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True, text=True, timeout=200,
     )  # fmt: skip
     assert done.returncode == 1

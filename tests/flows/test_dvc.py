@@ -24,7 +24,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("dvc") / "project"
     listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True)
     for name in listed.stdout.splitlines():
-        if (ROOT / name).is_file() and not name.startswith(("reports/", "dvc.lock", "spot/dvc.lock")):
+        if (ROOT / name).is_file() and not name.startswith(("reports/", "dvc.lock", "pipelines/spot/dvc.lock")):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
     one: dict[str, Any] = {"models": ["sim_model"], "sample_sizes": [40]}
@@ -39,10 +39,10 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(copy: Path, prefect_server: dict[str, str]) -> Callable[..., str]:
+def run(copy: Path) -> Callable[..., str]:
     """Runs a command in the copy; gives what it prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**prefect_server, "PATH": path, "PYTHONPATH": str(copy)}
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(copy)}
 
     def ran(*command: str) -> str:
         done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=900)
@@ -66,9 +66,34 @@ def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path, run: 
     assert run("dvc", "status", "--json") == before
 
     metrics = run("dvc", "metrics", "show", "--json")
-    assert "sim_model" in metrics
-    assert "nll" in metrics
-    assert "sim_model" in run("dvc", "metrics", "diff", "--all", "--json")
+    assert "nll_sim_model" in metrics
+    assert "nll_sim_model" in run("dvc", "metrics", "diff", "--all", "--json")
+
+
+def test_a_remote_gives_a_clone_what_git_does_not_hold(copy: Path, run: Callable[..., str], tmp_path: Path) -> None:
+    """As how_to/reproduce.md says: without one there are reports and metrics, after `dvc pull` the data too."""
+    assert (copy / "dvc.lock").exists()
+    run("git", "add", "-A")
+    run("git", "-c", "user.name=test", "-c", "user.email=test@localhost", "commit", "-qm", "with its results")
+    clone, there, remote = (
+        tmp_path / "clone",
+        ("--cd", str(tmp_path / "clone")),
+        ("-d", "store", str(tmp_path / "store")),
+    )
+    run("git", "clone", "-q", ".", str(clone))
+    assert (clone / "reports" / "virtual" / "report.md").exists()
+    assert any((clone / "policies" / "virtual").iterdir())
+    assert "nll_sim_model" in run("dvc", *there, "metrics", "show")
+    run("dvc", *there, "pull", "--allow-missing")
+    assert not list((clone / "models").rglob("*.npz"))
+
+    run("dvc", "remote", "add", *remote)
+    run("dvc", "push")
+    run("dvc", *there, "remote", "add", *remote)
+    run("dvc", *there, "pull", "--allow-missing")
+    for folder in ("data/virtual/recordings", "data/virtual/transitions", "models/virtual", "scores/virtual", "tracks"):
+        assert any((clone / folder).iterdir()), folder
+    assert "up to date" in run("dvc", *there, "status", "dvc.yaml")
 
 
 def test_an_experiment_changes_what_a_sweep_may_change(copy: Path, run: Callable[..., str]) -> None:
@@ -85,15 +110,30 @@ def test_an_experiment_changes_what_a_sweep_may_change(copy: Path, run: Callable
 
 def test_the_real_spots_pipeline_is_complete(run: Callable[..., str]) -> None:
     """Without the recordings its stages are there to be listed, and say which folder is missing."""
-    stages = run("dvc", "stage", "list", "spot/dvc.yaml")
+    stages = run("dvc", "stage", "list", "pipelines/spot/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == [
-        f"spot/dvc.yaml:{stage}"
+        f"pipelines/spot/dvc.yaml:{stage}"
         for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
     ]
 
 
+def test_the_metrics_of_the_repository_fit_on_a_screen() -> None:
+    shown = subprocess.run(
+        [Path(sys.executable).parent / "dvc", "metrics", "show"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    head, *rows = shown.splitlines()
+    assert {"nll_sim_fsvgd", "false_alarms", "right_name"} <= set(head.split())
+    assert {row.split()[0] for row in rows} >= {"reports/virtual/metrics.json", "reports/spot/metrics.json"}
+    assert max(map(len, shown.splitlines())) <= 120
+
+
 def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
-    stages = run("dvc", "stage", "list", "sealed/dvc.yaml")
+    stages = run("dvc", "stage", "list", "pipelines/sealed/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == [
-        f"sealed/dvc.yaml:{stage}" for stage in ("conceal", "examine", "score")
+        f"pipelines/sealed/dvc.yaml:{stage}" for stage in ("conceal", "examine", "score")
     ]
+
+
+def test_the_external_machines_pipeline_is_complete(run: Callable[..., str]) -> None:
+    stages = run("dvc", "stage", "list", "pipelines/external/dvc.yaml")
+    assert [line.split()[0] for line in stages.splitlines()] == ["pipelines/external/dvc.yaml:external"]

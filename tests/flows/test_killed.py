@@ -4,6 +4,7 @@ Diagnoses and sealed stages, which take longest, are killed in `test_diagnose_st
 """
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,8 @@ ONE: dict[str, Any] = {"models": ["sim_model"], "sample_sizes": [40], "seeds": [
 
 
 @pytest.fixture(scope="module")
-def work(prefect_server: dict[str, str]) -> Iterator[Work]:
-    with worker(prefect_server, list(WRITES)) as work:
+def work() -> Iterator[Work]:
+    with worker(os.environ, list(WRITES)) as work:
         yield work
 
 

@@ -37,16 +37,14 @@ def ran(folder: Path, command: Sequence[str], environment: Mapping[str, str]) ->
 
 
 @pytest.mark.parametrize("stage", ["recordings", "reproduce"])
-def test_a_source_that_would_leave_the_project_is_refused(
-    tmp_path: Path, prefect_server: dict[str, str], stage: str
-) -> None:
+def test_a_source_that_would_leave_the_project_is_refused(tmp_path: Path, stage: str) -> None:
     """It would write there, and at the second time delete what is there."""
     project = place(tmp_path / "project", {"recordings": {"../../theirs": BLOCK}})
     theirs = tmp_path / "theirs" / "recordings" / "thesis.tex"
     theirs.parent.mkdir(parents=True)
     theirs.write_text("years of work")
     where = ("--workspace", ".") if stage == "reproduce" else ()
-    status, output = finish(launch(project, (f"flows.{stage}", "../../theirs", *where), prefect_server), project)
+    status, output = finish(launch(project, (f"flows.{stage}", "../../theirs", *where), os.environ), project)
     assert theirs.read_text() == "years of work"
     assert [path.name for path in theirs.parent.iterdir()] == ["thesis.tex"]
     assert status == 1
@@ -55,25 +53,21 @@ def test_a_source_that_would_leave_the_project_is_refused(
     assert "Traceback" not in output
 
 
-def test_recordings_that_are_a_link_out_of_the_project_are_not_deleted(
-    tmp_path: Path, prefect_server: dict[str, str]
-) -> None:
+def test_recordings_that_are_a_link_out_of_the_project_are_not_deleted(tmp_path: Path) -> None:
     project, theirs = place(tmp_path / "project"), tmp_path / "theirs"
     theirs.mkdir()
     (theirs / "thesis.tex").write_text("years of work")
     recordings = Workspace(project, "virtual").recordings
     recordings.parent.mkdir(parents=True)
     recordings.symlink_to(theirs)
-    status, output = finish(launch(project, ("flows.recordings", "virtual"), prefect_server), project)
+    status, output = finish(launch(project, ("flows.recordings", "virtual"), os.environ), project)
     assert [path.name for path in theirs.iterdir()] == ["thesis.tex"]
     assert status == 1
     assert f"error: data/virtual/recordings: leads to {theirs}, which does not lie in {project}" in output
     assert "Traceback" not in output
 
 
-def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(
-    tmp_path: Path, prefect_server: dict[str, str]
-) -> None:
+def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(tmp_path: Path) -> None:
     """Whereas a sweep, which has a workspace of its own, goes on beside the first."""
     project = place(tmp_path / "project")
     workspace = Workspace(project, "virtual")
@@ -83,7 +77,7 @@ def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(
         yaml.safe_dump({"train": {"models": ["sim_model", "fsvgd"], "workers": 1, "bnn": endless}})
     )
     (project / "other.yaml").write_text(yaml.safe_dump({"train": {"seeds": [1]}}))
-    first = launch(project, ("flows.train", "virtual", "--overrides", "long.yaml"), prefect_server)
+    first = launch(project, ("flows.train", "virtual", "--overrides", "long.yaml"), os.environ)
     try:
         record, deadline = workspace.record(Cell("student_t", "sim_model", 40, 0)), time.monotonic() + 300
         while not record.exists():
@@ -92,20 +86,20 @@ def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(
             time.sleep(0.1)
         before = record.read_bytes()
         other = ("flows.train", "virtual", "--overrides", "other.yaml")
-        status, output = ran(project, other, prefect_server)
+        status, output = ran(project, other, os.environ)
         assert status == 1
         assert f"data/.virtual.lock: held by process {first.pid} on " in output
         assert "-m flows.train virtual --overrides long.yaml. Two commands" in output
         assert "Traceback" not in output
         assert record.read_bytes() == before
         sweep = ("flows.sweep", "virtual", "--name", "other", "--models", "sim_model")
-        status, output = ran(project, sweep, prefect_server)
+        status, output = ran(project, sweep, os.environ)
         assert status == 0, output
         assert first.poll() is None
     finally:
         os.killpg(first.pid, signal.SIGKILL)
         first.wait()
-    status, output = ran(project, other, prefect_server)
+    status, output = ran(project, other, os.environ)
     assert status == 0, output
     assert [p.stem for p in workspace.models.glob("*.json")] == ["sim_model-student_t-N40-s1"]
 
@@ -114,12 +108,10 @@ def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(
     ("content", "words"),
     [(CONFLICT, "dvc.lock: line 2 is the mark <<<<<<< of a merge"), ("[1, 2]", "dvc.lock: is no lock file of DVC")],
 )
-def test_a_damaged_lock_file_of_dvc_is_one_clear_line(
-    tmp_path: Path, prefect_server: dict[str, str], content: str, words: str
-) -> None:
+def test_a_damaged_lock_file_of_dvc_is_one_clear_line(tmp_path: Path, content: str, words: str) -> None:
     project = place(tmp_path / "project")
     (project / "dvc.lock").write_text(content)
-    status, output = finish(launch(project, ("flows.train", "virtual"), prefect_server), project)
+    status, output = finish(launch(project, ("flows.train", "virtual"), os.environ), project)
     assert status == 1
     (line,) = (line for line in output.splitlines() if line.startswith("error: "))
     assert line.startswith(f"error: {words}")

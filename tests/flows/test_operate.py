@@ -91,8 +91,8 @@ class Place(NamedTuple):
     def deployment(self, name: str) -> str:
         return self.api(f"deployments/name/{name}")["id"]
 
-    def start(self, name: str, parameters: dict[str, Any], run_name: str) -> str:
-        body = {"parameters": parameters, "name": run_name, "state": {"type": "SCHEDULED"}}
+    def start(self, name: str, parameters: dict[str, Any]) -> str:
+        body = {"parameters": parameters, "state": {"type": "SCHEDULED"}}
         return self.api(f"deployments/{self.deployment(name)}/create_flow_run", body)["id"]
 
     def state(self, flow_run: str) -> dict[str, Any]:
@@ -124,7 +124,8 @@ def brought_up(folder: Path, host: str = "127.0.0.1") -> Iterator[Place]:
     tiny = {**TINY, "train": {**TINY["train"], **ONE}, "policy": {**TINY["policy"], **ONE}}
     params = load_params(ROOT / "params.yaml", tiny).model_dump(mode="json")
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
-    (folder / "small.yaml").write_text("train: {sim_model: {training_steps: 50}}\n")
+    (folder / "pipelines").mkdir()
+    (folder / "pipelines" / "small.yaml").write_text("train: {sim_model: {training_steps: 50}}\n")
     place = Place(folder, (free_port(), free_port()), host)
     status, output = place.up()
     try:
@@ -232,7 +233,7 @@ ATTACK = """async ([api, command]) => {
   const flow = await call("/flows/", {name: "sweep"});
   const step = {"prefect.deployments.steps.run_shell_script": {script: command}};
   const deployment = await call("/deployments/", 
-    {name: "small", flow_id: flow.id, pull_steps: [step], enforce_parameter_schema: false});
+    {name: "sweep-small", flow_id: flow.id, pull_steps: [step], enforce_parameter_schema: false});
   await call(`/deployments/${deployment.id}/create_flow_run`, {name: "attack", state: {type: "SCHEDULED"}});
   return statuses;
 }"""
@@ -263,7 +264,7 @@ def test_no_page_of_another_server_runs_a_command(place: Place, browser: Any, el
         statuses = page.evaluate(ATTACK, [api, f"touch {place.folder / 'attacked'}"])
         assert all(400 <= status < 500 for status in statuses), (origin, statuses)
     page.close()
-    assert place.api("deployments/name/sweep/small")["pull_steps"] == []
+    assert place.api("deployments/name/sweep/sweep-small")["pull_steps"] == []
     assert place.api("flow_runs/filter", {"flow_runs": {"name": {"any_": ["attack"]}}}) == []
     assert not (place.folder / "attacked").exists()
 
@@ -279,24 +280,29 @@ def test_a_taken_port_is_named(place: Place, tmp_path: Path) -> None:
 def test_the_forms_are_typed_and_filled_in_from_params(place: Place) -> None:
     params = yaml.safe_load((place.folder / "params.yaml").read_text())
     found = place.api("deployments/filter", {})
-    assert {d["name"] for d in found} == {"full", "small", "any"}
-    assert len(found) == 7
-    full = place.api("deployments/name/sweep/full")
+    names = [f"{flow}-{size}" for flow in ("reproduce", "sweep", "track") for size in ("full", "small")]
+    assert sorted(d["name"] for d in found) == ["diagnose-folder", *names]
+    full = place.api("deployments/name/sweep/sweep-full")
     assert full["parameters"]["sample_sizes"] == params["train"]["sample_sizes"]
     assert full["parameters"]["hyperparameters"]["bnn"]["particles"] == [params["train"]["bnn"]["particles"]]
-    small = place.api("deployments/name/sweep/small")
+    small = place.api("deployments/name/sweep/sweep-small")
     assert small["parameters"]["hyperparameters"]["sim_model"]["training_steps"] == [50]
     properties = full["parameter_openapi_schema"]["properties"]
     assert "sim_fsvgd" in json.dumps(properties["models"])
+    definitions = full["parameter_openapi_schema"]["definitions"]
+    assert definitions["Recordings"]["properties"]["source"]["enum"] == list(params["recordings"])
     assert properties["sample_sizes"]["items"]["minimum"] == 20
     assert properties["sample_sizes"]["description"] == "N, transitions to learn from."
-    rate = full["parameter_openapi_schema"]["definitions"]["bnn"]["properties"]["learning_rate"]
+    rate = definitions["bnn"]["properties"]["learning_rate"]
     assert (rate["items"]["exclusiveMinimum"], rate["items"]["maximum"]) == (0, 1)
 
 
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
+        ({"name": "a/b"}, "'a/b' does not match"),
+        ({"name": "latest"}, "'latest' should not be valid under"),
+        ({"recordings": {"source": "moon"}}, "'moon' is not one of ['virtual', 'spot']"),
         ({"sample_sizes": [3]}, "3 is less than the minimum of 20"),
         ({"models": ["gp"]}, "'gp' is not one of"),
         ({"hyperparameters": {"bnn": {"learning_rate": [7]}}}, "7 is greater than the maximum of 1"),
@@ -305,15 +311,15 @@ def test_the_forms_are_typed_and_filled_in_from_params(place: Place) -> None:
 )
 def test_a_wrong_value_in_the_form_is_refused_and_named(place: Place, parameters: dict[str, Any], words: str) -> None:
     with pytest.raises(urllib.error.HTTPError) as error:
-        place.start("sweep/full", parameters, "wrong")
+        place.start("sweep/sweep-full", {"name": "wrong", **parameters})
     assert words in error.value.read().decode()
 
 
 def start_long(place: Place, name: str) -> str:
     """A sweep that trains for hours, when it trains."""
     long = {"sim_model": {"training_steps": [10_000_000], "evaluate_every": [1000]}}
-    status, output = place.run("prefect", "deployment", "run", "sweep/full", "--flow-run-name", name, "--param",
-                               f"hyperparameters={json.dumps(long)}")  # fmt: skip
+    status, output = place.run("prefect", "deployment", "run", "sweep/sweep-full", "--param", f"name={name}",
+                               "--param", f"hyperparameters={json.dumps(long)}")  # fmt: skip
     assert status == 0, output
     flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
     training = {"name": {"like_": "sim_model-"}, "state": {"name": {"any_": ["Running"]}}}
@@ -361,19 +367,47 @@ def picture(page: Any, name: str, folder: Path) -> None:
     page.screenshot(path=Path(PICTURES or folder) / f"{name}.png")
 
 
+def field(browser: Any, words: str, kind: str = "textarea") -> Any:
+    """The first field of a form after its description."""
+    return browser.locator(f'xpath=//*[contains(text(), "{words}")]/following::{kind}[1]')
+
+
+def test_the_form_offers_sources_and_refuses_a_bad_name(place: Place, browser: Any) -> None:
+    browser.goto(f"{place.prefect}/deployments/deployment/{place.deployment('sweep/sweep-full')}/run")
+    field(browser, "A block of params.yaml", "button").focus()
+    browser.keyboard.press("ArrowDown")
+    browser.get_by_role("option").first.wait_for()
+    assert browser.get_by_role("option").all_inner_texts() == ["virtual", "spot"]
+    browser.keyboard.press("Escape")
+    before = place.api("flow_runs/count", {})
+    browser.get_by_role("button", name="Submit").click()
+    browser.get_by_text("'name' is a required property").wait_for()
+    field(browser, NAMED).fill("a/b")
+    browser.get_by_role("button", name="Submit").click()
+    browser.get_by_text("'a/b' does not match").first.wait_for()
+    assert place.api("flow_runs/count", {}) == before
+
+
+NAMED = "The run's name, here and in MLflow"
+"""How the form describes the name of a run."""
+
+
 @pytest.fixture(scope="module")
 def swept(place: Place, browser: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """A sweep over two seeds, started from Prefect's form, when it has ended: its flow run, and the pictures."""
     pictures = tmp_path_factory.mktemp("pictures")
-    browser.goto(f"{place.prefect}/deployments/deployment/{place.deployment('sweep/full')}/run")
-    seeds = "xpath=//*[contains(text(),'Each draws other transitions')]"
-    browser.locator("xpath=//*[normalize-space(text())='Run Name']/following::input[1]").fill("from-the-form")
-    browser.locator(f"{seeds}/following::button[contains(.,'Add item')][1]").click()
-    browser.locator(f"{seeds}/following::input[@type='number'][2]").fill("1")
-    browser.locator(f"{seeds}/following::input[@type='number'][2]").scroll_into_view_if_needed()
+    browser.goto(f"{place.prefect}/deployments/deployment/{place.deployment('sweep/sweep-full')}/run")
+    within = "ancestor::div[contains(concat(' ', @class, ' '), ' schema-form-property ')][1]"
+    seeds = f"xpath=//*[contains(text(),'Each draws other transitions')]/{within}"
+    field(browser, NAMED).fill("from-the-form")
+    browser.locator(f"{seeds}//button[contains(.,'Add item')]").click()
+    second = browser.locator(f"{seeds}//input[@type='number']").nth(1)
+    second.fill("1")
+    second.scroll_into_view_if_needed()
     picture(browser, "prefect_form", pictures)
     browser.get_by_role("button", name="Submit").click()
-    (run,) = wait_for(lambda: place.api("flow_runs/filter", {"flow_runs": {"name": {"any_": ["from-the-form"]}}}))
+    of_it = {"flow_runs": {"name": {"any_": ["from-the-form"]}}}  # named so when it starts
+    (run,) = wait_for(lambda: place.api("flow_runs/filter", of_it), 120)
     assert run["parameters"]["seeds"] == [0, 1]
     state = place.until(run["id"], {"Completed", "Failed", "Crashed"}, 400)
     assert state["name"] == "Completed", (state, place.log())
@@ -417,7 +451,7 @@ def test_mlflow_shows_the_runs_side_by_side(place: Place, browser: Any, swept: t
     artifacts = place.api("artifacts/filter", {"artifacts": {"key": {"any_": ["sweep-links"]}}})
     (address,) = re.findall(r"\((http[^)]*viewStateShareKey=[^)]*)\)", artifacts[0]["data"])
     browser.goto(address)
-    for name in ("sim_model-student_t-N40-s1", "nll", "seconds"):
+    for name in ("sim_model-student_t-N40-s1", "nll", "training_seconds", "seed"):
         browser.get_by_text(name, exact=True).first.wait_for()
     browser.get_by_label("Close").last.click()  # an assistant that nobody called
     picture(browser, "mlflow_runs", pictures)
@@ -431,6 +465,9 @@ def test_mlflow_shows_the_runs_side_by_side(place: Place, browser: Any, swept: t
     browser.get_by_text("Parallel Coordinates Plot").first.wait_for()
     picture(browser, "mlflow_compare", pictures)
 
+    every = client.search_runs([e.experiment_id for e in client.search_experiments()])
+    named = r"(sweep|grid|policies|tracking)-.+|(sim_model|fsvgd|sim_fsvgd)(_diagnosed)?-.+-s\d+"
+    assert [run.info.run_name for run in every if not re.fullmatch(named, str(run.info.run_name))] == []
     (parent,) = [run for run in runs if run not in cells]
     logged = {file.path for file in client.list_artifacts(parent.info.run_id)}
     assert {"results.csv", "results.json", "report"} <= logged
@@ -451,9 +488,11 @@ def test_the_best_model_loads_in_three_lines(place: Place, monkeypatch: pytest.M
     monkeypatch.chdir(place.folder)
     named: dict[str, Any] = {}
     exec(lines.replace("<sweep>", "from-the-form"), named)
-    columns = [column.name for column in named["model"].metadata.get_input_schema()]
-    table = named["model"].predict(pd.DataFrame(np.zeros((3, len(columns))), columns=columns))
-    assert np.isfinite(table.to_numpy()).all()
+    recordings = Workspace(place.folder / "sweeps" / "from-the-form", "virtual").recordings
+    session = pd.read_parquet(min((recordings / "test").glob("*.parquet")))
+    predicted = named["model"].predict(session)
+    assert len(predicted) == len(session)
+    assert np.isfinite(predicted[2:].to_numpy()).all()
 
 
 def test_a_reproduction_is_started_and_shows_what_there_is(place: Place) -> None:
@@ -464,8 +503,8 @@ def test_a_reproduction_is_started_and_shows_what_there_is(place: Place) -> None
     recordings.record_virtual.fn(made, source)
     for folder in ("recordings_spot_v1", "test_data_spot"):
         shutil.copytree(made.recordings / "training", place.folder / "data" / "robot" / folder)
-    form = {"recordings": {"source": "spot", "folder": "data/robot"}}
-    flow_run = place.start("reproduce/full", form, "again")
+    form = {"name": "again", "recordings": {"source": "spot", "folder": "data/robot"}}
+    flow_run = place.start("reproduce/reproduce-full", form)
     state = place.until(flow_run, {"Completed", "Failed", "Crashed"}, 400)
     assert state["name"] == "Failed", (state, place.log())
     assert "a session must serve one purpose" in state["message"]
@@ -497,9 +536,9 @@ def test_a_diagnosis_is_read_in_mlflow(place: Place, browser: Any, swept: tuple[
 
 def test_a_diagnosis_is_started_and_compared_with_others_of_its_recordings(place: Place) -> None:
     record("drive", place.folder / "data" / "rail", sessions=3, seconds=20.0, seed=0)
-    form = {"recordings": "data/rail", "simulator": "examples.drive:DRIVE"}
+    form = {"name": "rail", "recordings": "data/rail", "simulator": "examples.drive:DRIVE"}
     given = [part for name, value in form.items() for part in ("--param", f"{name}={value}")]
-    status, output = place.run("prefect", "deployment", "run", "diagnose/any", "--flow-run-name", "rail", *given)
+    status, output = place.run("prefect", "deployment", "run", "diagnose/diagnose-folder", *given)
     assert status == 0, output
     flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
     state = place.until(flow_run, {"Completed", "Failed", "Crashed"}, 400)
@@ -558,7 +597,8 @@ def test_on_other_addresses_a_login_is_asked_for(browser: Any, tmp_path: Path) -
         assert {path.suffix for path in shown} == {".pid"}
         assert {path.stat().st_mode & 0o777 for path in shown} == {0o600}
 
-        status, output = place.run("prefect", "deployment", "run", "diagnose/any", "--param", "recordings=data/none")
+        given = ("--param", "name=none", "--param", "recordings=data/none")
+        status, output = place.run("prefect", "deployment", "run", "diagnose/diagnose-folder", *given)
         assert status == 0, output
         flow_run = re.findall(r"[0-9a-f]{8}-[0-9a-f-]{27}", output)[0]
         state = place.until(flow_run, {"Completed", "Failed", "Crashed"}, 200)

@@ -19,7 +19,6 @@ import pandas as pd
 import pytest
 import yaml
 from mlflow import MlflowClient
-from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from simgap import scores
 from simgap.formats.documents import read_json, write_json
@@ -28,7 +27,6 @@ from tasks import recordings, transitions
 from tasks.files.models import load_model
 from tasks.params import Params, VirtualParams, load_params
 from tasks.policy import input_columns as input_columns_of_policies
-from tasks.train import input_columns
 from tasks.workspace import SPLITS, Cell, Share, Workspace
 
 ROOT = Path(__file__).parents[2]
@@ -42,6 +40,8 @@ TINY: dict[str, Any] = {
         "seeds": [0],
         "bnn": {"max_training_steps": 200, "evaluate_every": 50, "measurement_sets": 8, "hidden_layer_sizes": [16]},
         "sim_model": {"training_steps": 100, "evaluate_every": 50},
+        "residual": {"simulator_steps": 50, "training_steps": 50, "evaluate_every": 25, "outputscales": [0.1],
+                     "lengthscales": [2.0], "horizon": 10},
     },
     "score": {"horizons": [5, 10]},
     "policy": {
@@ -58,7 +58,7 @@ TINY: dict[str, Any] = {
 }  # fmt: skip
 MODELS, SIZES = ("sim_model", "fsvgd", "sim_fsvgd"), (40, 80)
 CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
-DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed")
+DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed")
 
 
 SWEEP = ("flows.sweep", "virtual", "--name", "w")
@@ -78,8 +78,7 @@ def start(
 def launch(folder: Path, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
     """A command in a folder that holds its parameters, its MLflow store and what is printed.
 
-    A process group of its own: killed with SIGKILL, a run leaves what it started. Where the environment names no
-    Prefect server, it starts one.
+    A process group of its own: killed with SIGKILL, a run leaves what it started.
     """
     environment = {**environment, "PYTHONPATH": str(ROOT)}
     with (folder / "output.txt").open("wb") as output:
@@ -120,9 +119,13 @@ def children(folder: Path, experiment_name: str = "model-validation") -> pd.Data
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A finished run's folder and what it printed."""
     folder = tmp_path_factory.mktemp("pipeline")
-    status, output = finish(start(folder, TINY), folder)
+    status, output = finish(start(folder, TINY, {**os.environ, "PREFECT_HOME": str(folder / "home")}), folder)
     assert status == 0, output
     return folder, output
+
+
+def test_a_run_without_a_prefect_server_starts_none(finished: tuple[Path, str]) -> None:
+    assert not list((finished[0] / "home").glob("prefect.db*"))
 
 
 def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> None:
@@ -147,8 +150,12 @@ def test_tables_and_metrics_hold_every_cell(finished: tuple[Path, str]) -> None:
     assert np.isfinite(table[validated].select_dtypes("number").to_numpy()).all()
     assert np.isfinite(table.drop(columns="validation_nll").select_dtypes("number").to_numpy()).all()
     metrics = json.loads((reports / "metrics.json").read_text())
-    assert set(metrics["student_t"]) == set(MODELS)
-    assert set(metrics["student_t"]["fsvgd"]) == {"N40", "N80"}
+    assert set(metrics) == {f"nll_{model}" for model in MODELS}
+    largest = table[table["sample_size"] == 80]
+    assert metrics["nll_fsvgd"] == pytest.approx(
+        largest[largest["model"] == "fsvgd"].groupby("noise")["nll"].mean().min(),
+        rel=1e-5,  # the table has 6 digits
+    )
 
 
 def test_every_cell_is_a_run_with_curve_data_set_scores_and_model(finished: tuple[Path, str]) -> None:
@@ -162,10 +169,16 @@ def test_every_cell_is_a_run_with_curve_data_set_scores_and_model(finished: tupl
         name = Cell(row.noise, row.model, row.sample_size, row.seed).name
         run = client.get_run(runs.set_index("name").loc[name, "id"])
         assert run.data.metrics["nll"] == pytest.approx(row.nll, rel=1e-4)
+        assert run.data.metrics["training_seconds"] > 0
         assert run.data.params["sample_size"] == str(row.sample_size)
         assert run.inputs.dataset_inputs[0].dataset.digest
-        assert {"fingerprint", "transitions", "source", "prefect_flow_run"} <= set(run.data.tags)
+        assert {"fingerprint", "transitions", "source"} <= set(run.data.tags)
         assert client.get_metric_history(run.info.run_id, "training/train_nll")
+
+
+def read_session(workspace: Workspace) -> pd.DataFrame:
+    """The first of the sessions to judge by, as it was recorded."""
+    return pd.read_parquet(min((workspace.recordings / "test").glob("*.parquet")))
 
 
 def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,10 +186,13 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}")
     workspace = Workspace(folder / "w", "virtual")
     test = transitions.load(workspace, "test")
+    session = read_session(workspace).head(53)  # 50 transitions with the commands before them
     for cell in CELLS[-3:]:
         run_id = children(folder).set_index("name").loc[cell.name, "id"]
         loaded = mlflow.pyfunc.load_model(f"runs:/{run_id}/model")
-        table = loaded.predict(pd.DataFrame(np.asarray(test.x[:50], np.float64), columns=list(input_columns(SCHEMA))))
+        table = loaded.predict(session)
+        assert (len(table), table.head(2).isna().all(axis=None)) == (53, True)
+        table = table[2:-1]
         residual = test.y[:50] - table[[f"mean_{name}" for name in SCHEMA.encoded]].to_numpy()
         ours = scores.one_step(load_model(workspace.model(cell)), test._replace(x=test.x[:50], y=test.y[:50]),
                                SCHEMA.encoded)  # fmt: skip
@@ -184,13 +200,11 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
         assert (table[[f"std_{name}" for name in SCHEMA.encoded]].to_numpy() > 0).all()
 
 
-def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
-    tmp_path: Path, prefect_server: dict[str, str]
-) -> None:
+def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Path) -> None:
     """A sweep, which trains and scores and does nothing besides; `test_killed` has every stage."""
     params = load_params(ROOT / "params.yaml", TINY).model_dump(mode="json")
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
-    process = launch(tmp_path, SWEEP, prefect_server)
+    process = launch(tmp_path, SWEEP, os.environ)
     models = tmp_path / "sweeps" / "w" / "models" / "virtual"
     deadline = time.monotonic() + 300
     while len(list(models.glob("*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
@@ -200,7 +214,7 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(
     before = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert 2 <= len(before) < len(CELLS), "the run was to be killed with some cells done and some not"
 
-    status, output = finish(launch(tmp_path, SWEEP, prefect_server), tmp_path)
+    status, output = finish(launch(tmp_path, SWEEP, os.environ), tmp_path)
     assert status == 0, output
     after = {path.name: path.stat().st_mtime_ns for path in models.glob("*.json")}
     assert len(after) == len(CELLS)
@@ -220,17 +234,17 @@ def test_models_that_are_given_a_diagnosis(
 ) -> None:
     """One diagnosis serves both; where the recordings are too few, cells fail, are named and lose no other."""
     train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
-    policy = {**TINY["policy"], "models": ["sim_model_diagnosed"], "sample_sizes": [80, 100_000]}
+    policy = {**TINY["policy"], "models": ["sim_model_diagnosed", "residual_diagnosed"], "sample_sizes": [80, 100_000]}
     overrides = {**TINY, "train": train, "policy": policy}
     workspace = Workspace(tmp_path / "w", "virtual")
     stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
     write_json(stale, {"fingerprint": "of other parameters"})
     status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
     assert status == 1
-    assert "3 of 6 cells failed" in output
-    assert "1 of 2 policies failed" in output
+    assert "4 of 8 cells failed" in output
+    assert "2 of 4 policies failed" in output
     assert "N = 100000 transitions are asked for" in output
-    assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80]
+    assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80, 80]
     assert not stale.exists()
     assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
     found = read_json(workspace.effects(Share(80, 0)))["effects"]
@@ -240,10 +254,11 @@ def test_models_that_are_given_a_diagnosis(
         run = runs.loc[Cell("student_t", model, 80, 0).name]
         assert (run["diagnosis"], run["effects"]) == ("diagnosis-N80-s0", ", ".join(found) or "none")
         assert np.isfinite(run["nll"])
+        assert run["prefect_flow_run"]
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path / 'mlflow.db'}")
     run_id = runs.loc[Cell("student_t", "sim_model_diagnosed", 80, 0).name, "id"]
-    rows = pd.DataFrame(np.zeros((3, 31)), columns=list(input_columns(SCHEMA)))
-    assert np.isfinite(mlflow.pyfunc.load_model(f"runs:/{run_id}/model").predict(rows).to_numpy()).all()
+    predicted = mlflow.pyfunc.load_model(f"runs:/{run_id}/model").predict(read_session(workspace))
+    assert np.isfinite(predicted[2:].to_numpy()).all()
 
     report = (workspace.reports / "report.md").read_text()
     assert f"N = 80: {', '.join(found) or 'none'} (seed 0)" in report
@@ -288,15 +303,14 @@ def test_policies_are_learnt_run_on_the_robot_and_told_of(
 )
 def test_wrong_input_is_explained_without_a_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
-    prefect_server: dict[str, str], arguments: list[str], overrides: str, words: list[str],
+    arguments: list[str], overrides: str, words: list[str],
 ) -> None:  # fmt: skip
     """As `python -m` does it, but in this process: of another one, all time would be its imports."""
     (tmp_path / "params.yaml").write_text((ROOT / "params.yaml").read_text())
     (tmp_path / "o.yaml").write_text(overrides)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["reproduce", *arguments, "--overrides", "o.yaml", "--workspace", "w"])
-    served = temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]})
-    with served, pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as ended:
         runpy.run_module("flows.reproduce", run_name="__main__")
     output = "".join(capfd.readouterr())
     assert ended.value.code == 1

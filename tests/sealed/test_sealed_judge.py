@@ -23,7 +23,7 @@ def key(kind: str, *effects: str, strength: float = 100.0, **more: Any) -> dict[
 
 def effect(name: str, probability: float = 0.99, credible: tuple[str, ...] = (), gain: float = 50.0) -> dict[str, Any]:
     return {"id": name, "probability": probability, "credible_set": [name, *credible], "gain_nats": gain,
-            "outputs": ["base_vx", "base_vy"], "from_s": None,
+            "outputs": ["base_vx", "base_vy"], "channels": [], "from_s": None,
             "constants": [{"name": "limit", "value": -0.52, "unit": "m/s", "ci95": [-0.55, -0.49]}]}  # fmt: skip
 
 
@@ -74,8 +74,48 @@ def test_the_first_name_is_the_one_that_gains_most() -> None:
     said = told("missing_physics", effect("gain", gain=10.0), effect("saturation", gain=90.0))
     found = row(key("single", "saturation"), said)
     assert found["top1"]
-    assert not found["exact"]
+    assert not found["alone"]
     assert found["extra"] == 1
+
+
+def test_a_right_name_at_another_joint_is_not_alone() -> None:
+    """Where the key says which commands an effect acts on; one at all of them may be told joint by joint."""
+
+    def at(*joints: str) -> dict[str, Any]:
+        return {**effect("friction"), "channels": [f"cmd_{joint}" for joint in joints]}
+
+    everywhere, truth = key("single", "friction"), key("single", "friction")
+    truth["effects"][0]["channels"] = ["cmd_elbow"]
+    for said, here, anywhere in (((at("elbow"),), True, True), ((at("elbow"), at("base")), False, True),
+                                 ((at("elbow", "base"),), False, True), ((at("elbow"), effect("lag")), False, False),
+                                 ((), False, False)):  # fmt: skip
+        assert row(truth, told("missing_physics", *said))["alone"] == here
+        assert row(everywhere, told("missing_physics", *said))["alone"] == anywhere
+    assert row(truth, told("missing_physics", at("elbow"), at("base")))["fault"] == "further name"
+
+
+def test_a_wrong_parameter_is_refitted_and_named_nothing() -> None:
+    truth = {**key("parameters"), "verdicts": ["parameters_only"], "cause": "wrong kp", "parameter": ("kp elbow", 50.0)}
+    said = {**told("parameters_only"), "parameters": {"after": {"kp elbow": 48.0}}}
+    found = row(truth, said)
+    assert found["parameter_error"] == pytest.approx(0.04)
+    assert (found["truth"], found["fault"], found["confident_wrong"]) == ("wrong kp", "", False)
+    assert row(truth, told("nothing"))["fault"] == "not seen"
+    wrong = row(truth, told("missing_physics", effect("gain")))
+    assert (wrong["fault"], wrong["confident_wrong"]) == ("false alarm", True)
+
+
+def test_errors_in_open_loop_are_in_terms_of_the_noise() -> None:
+    """Of the model with the effects, or refitted where none is named."""
+    truth, errors = {**key("single", "lag"), "floor": 2e-4}, {"as_is": 8e-4, "refitted": 6e-4, "augmented": 2e-4}
+    replay = {"positions": [{"name": "a_pos", "errors": errors}, {"name": "b_pos", "errors": errors}]}
+    found = row(truth, {**told("missing_physics", effect("lag")), "replay": replay})
+    assert (found["open_loop"], found["open_loop_as_is"]) == (pytest.approx(1.0), pytest.approx(4.0))
+    for position in replay["positions"]:
+        position["errors"] = {name: e for name, e in errors.items() if name != "augmented"}
+    assert row(truth, {**told("parameters_only"), "replay": replay})["open_loop"] == pytest.approx(3.0)
+    assert "open_loop" not in row(truth, {**told("nothing"), "replay": None})
+    assert "open_loop" not in row(key("single", "lag"), {**told("nothing"), "replay": replay})
 
 
 def test_constants_are_compared_by_size_and_their_interval_by_either_sign() -> None:
@@ -122,7 +162,9 @@ def test_the_table_counts_each_kind_by_itself() -> None:
         row(key("duel", "lag"), told("missing_physics", effect("delay"))),
         row(key("outside", "magnet"), told("missing_physics", effect("lag"))),
     ]  # fmt: skip
-    found = {s.name: (s.value, s.n) for s in metrics.table(rows, np.random.default_rng(0))}
+    table = metrics.table(rows, np.random.default_rng(0))
+    assert metrics.headline(table) == {"false_alarms": 0.5, "right_name": 1.0, "sure_wrong": 1 / 3}
+    found = {s.name: (s.value, s.n) for s in table}
     assert found["false alarms on nulls"] == (0.5, 2)
     assert found["top-1, 30 nats and more"] == (1.0, 1)
     assert found["top-1, 10 nats"] == (0.0, 1)

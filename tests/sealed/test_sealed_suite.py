@@ -3,14 +3,15 @@
 import copy
 import json
 import math
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import yaml
 from killing import Work, worker
-from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from concealed import seal
 from flows.sealed import conceal, examine, score
@@ -18,7 +19,7 @@ from simgap.formats.atomic import remove_unfinished
 from simgap.formats.documents import read_json, write_json, write_text
 from simgap.types import SimgapError
 from tasks.params import SealedParams, load_sealed
-from tasks.sealed import baselines
+from tasks.sealed import baselines, metrics
 from tasks.sealed.conceal import seed_of
 from tasks.sealed.examine import fingerprint, remove_stale
 from tasks.sealed.examine import finished as examined_before
@@ -30,13 +31,13 @@ TINY = {"conceal": {"nulls": 1, "effects": ["saturation"]}}
 
 @pytest.fixture(scope="module")
 def params() -> SealedParams:
-    small = yaml.safe_load((ROOT / "sealed" / "small.yaml").read_text())
-    return load_sealed(ROOT / "sealed" / "params.yaml", small, TINY)
+    small = yaml.safe_load((ROOT / "pipelines" / "sealed" / "small.yaml").read_text())
+    return load_sealed(ROOT / "pipelines" / "sealed" / "params.yaml", small, TINY)
 
 
 @pytest.fixture(scope="module")
-def work(prefect_server: dict[str, str]) -> Iterator[Work]:
-    with worker(prefect_server, ["sealed.conceal", "sealed.examine", "sealed.score"]) as work:
+def work() -> Iterator[Work]:
+    with worker(os.environ, ["sealed.conceal", "sealed.examine", "sealed.score"]) as work:
         yield work
 
 
@@ -44,15 +45,13 @@ def work(prefect_server: dict[str, str]) -> Iterator[Work]:
 def workspace(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) -> SealedWorkspace:
     """After `conceal`, in a folder from which stages can be started as from the command line."""
     workspace = SealedWorkspace(tmp_path_factory.mktemp("sealed"), "development")
-    write_text(workspace.root / "sealed" / "params.yaml", yaml.safe_dump(params.model_dump(mode="json")))
+    write_text(workspace.root / "pipelines" / "sealed" / "params.yaml", yaml.safe_dump(params.model_dump(mode="json")))
     conceal.run.fn("development", params, workspace.root)
     return workspace
 
 
 @pytest.fixture(scope="module")
-def examined(
-    workspace: SealedWorkspace, params: SealedParams, work: Work, prefect_server: dict[str, str]
-) -> SealedWorkspace:
+def examined(workspace: SealedWorkspace, params: SealedParams, work: Work) -> SealedWorkspace:
     """After `examine`, twice, where the last of the two cases cannot be read: it fails, and loses no other, even where
     the first time was killed before the last record, which is damaged besides."""
     other, damaged = read_json(workspace.manifest)["parts"][0]
@@ -62,10 +61,7 @@ def examined(
     assert not workspace.record(damaged).exists()
     diagnosed = workspace.record(other).stat().st_mtime_ns
     write_text(workspace.record(damaged), '{"fingerpr')
-    with (
-        temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}),
-        pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged}.*cmd_ee_vz is missing"),
-    ):
+    with pytest.raises(SimgapError, match=f"1 of 2 cases failed(.|\n)*{damaged}.*cmd_ee_vz is missing"):
         examine.run("development", params, workspace.root)
     assert read_json(workspace.record(other))["error"] is None
     assert workspace.record(other).stat().st_mtime_ns == diagnosed  # it is not done again
@@ -127,31 +123,58 @@ def test_every_case_is_scored_and_the_report_is_whole(
     examined: SealedWorkspace,
     params: SealedParams,
     work: Work,
-    prefect_server: dict[str, str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(examined.root)
-    with temporary_settings({PREFECT_API_URL: prefect_server["PREFECT_API_URL"]}):
-        score.run("development", params, examined.root)
-    manifest = read_json(examined.manifest)
-    report = examined.report(manifest["code"], manifest["round"])
+    version = read_json(examined.manifest)
+    earlier = examined.reports / "00000000-round-0"
+    write_text(earlier / "report.md", "of another version")
+    score.run("development", params, examined.root)
+    score.run("development", params, examined.root)
+    report = examined.report(version["code"], version["round"])
+    assert list(examined.reports.iterdir()) == [report]
+    assert not (report / "failures").exists()
     text = (report / "report.md").read_text()
     assert "saturation" in text
     assert {"manifest.json", "power.png", "confusion.png", "reliability.png", "cases.csv", "report.md"} <= {
         p.name for p in report.iterdir()
     }
-    for line in text.splitlines():
-        if line.startswith("!["):
-            assert (report / line.split("](")[1][:-1]).exists(), line
-    failed = read_json(examined.metrics)["cases that failed"]
-    assert (failed["value"], failed["n"]) == (0.5, 2)
+    assert read_json(examined.metrics).keys() <= set(metrics.HEADLINE.values())
     assert "broke off: 1" in text
+    history = pd.read_csv(examined.history).set_index("score")
+    assert history.index.is_unique  # though it was scored twice
+    assert (history.loc["cases that failed", "value"], history.loc["cases that failed", "n"]) == (0.5, 2)
+    assert set(history["code"]) == {report.name[:8]}
 
     written = {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()}
     assert work(examined.root, "sealed.score development", writes=2) == -9
     assert list(report.parent.glob(".*.tmp"))
     remove_unfinished(report.parent)
     assert {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()} == written
+
+
+def test_an_examinations_failures_are_drawn(
+    examined: SealedWorkspace, params: SealedParams, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And its scores join those of the other suites in one table."""
+    examination = SealedWorkspace(tmp_path, "examination")
+    shutil.copytree(examined.root / "data", tmp_path / "data")
+    for ours, theirs in (
+        (examined.data, examination.data), (examined.keys, examination.keys),
+        (examined.examinations, examination.examinations),
+    ):  # fmt: skip
+        shutil.copytree(ours, theirs)
+    examination.published.parent.mkdir(parents=True)
+    shutil.copy(examined.manifest, examination.published)
+    shutil.copy(examined.history, examination.history)
+    monkeypatch.chdir(tmp_path)
+    score.run.fn("examination", params, tmp_path)
+    (report,) = examination.reports.iterdir()
+    pictures = [line for line in (report / "report.md").read_text().splitlines() if line.startswith("![")]
+    assert sum("failures/" in line for line in pictures) >= 1
+    for line in pictures:
+        assert (report / line.split("](")[1][:-1]).exists(), line
+    assert set(pd.read_csv(examination.history)["suite"]) == {"development", "examination"}
 
 
 def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(

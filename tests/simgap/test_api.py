@@ -3,6 +3,7 @@
 import html
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -94,20 +95,37 @@ def test_what_is_saved_is_loaded_again(result: simgap.Result, tmp_path: Path) ->
         simgap.load(tmp_path)
 
 
-def test_the_page_about_it_works_as_printed(
-    folder: Path, result: simgap.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("page", ["docs/reference/python.md", "README.md"])
+def test_the_pages_about_it_work_as_printed(
+    page: str, folder: Path, result: simgap.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweeps").mkdir()
     (tmp_path / "sweeps" / "drive").symlink_to(folder)
     result.save("sweeps/drive-diagnosis")
-    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.MULTILINE | re.DOTALL)
+    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
     names: dict[str, Any] = {"state": jnp.zeros(2), "command": jnp.ones(1)}
     for block in blocks:
-        exec(block, names)
+        if "mlflow" not in block:
+            exec(block, names)
     assert len(blocks) == 2
     assert (tmp_path / "drive.html").exists()
     assert names["d"].simulator.effects == names["robot"].effects == ("coulomb_friction",)
+
+
+def test_the_page_about_the_file_names_every_key(result: simgap.Result) -> None:
+    """But those that are names of parameters, bodies and sessions."""
+    page = (ROOT / "docs" / "reference" / "diagnosis_json.md").read_text()
+    named = {p.name for p in DRIVE.parameters} | {"error_50_cart [m]"}
+    assert set(keys(result.statement)) - named - set(re.findall(r"\w+", page)) == set()
+
+
+def keys(value: Any) -> Iterator[str]:
+    """Of dictionaries, at any depth."""
+    if isinstance(value, dict):
+        yield from value
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from keys(part)
 
 
 @pytest.fixture
@@ -132,7 +150,7 @@ def test_recordings_are_the_same_in_every_form(folder: Path, asked: list[Any]) -
     recordings, _ = read_recordings(folder, DRIVE.schema, DRIVE.time_step)
     named = tables(recordings)
     forms: list[Any] = [
-        folder, str(folder), recordings, named, list(named.values()),
+        folder, str(folder), [folder], recordings, named, list(named.values()),
         [{c: table[c].to_list() for c in table} for table in named.values()],
         {name: {c: table[c].to_numpy() for c in table} for name, table in named.items()},
         [pa.Table.from_pandas(table).to_pandas() for table in named.values()],

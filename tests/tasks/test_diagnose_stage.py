@@ -67,6 +67,16 @@ def test_sessions_of_one_name_are_told_apart(folders: dict[str, Path]) -> None:
     assert names(sessions.baseline) == ["yesterday/drive_01", "yesterday/drive_02"]
 
 
+def test_recordings_of_several_experiments_are_put_together(folders: dict[str, Path]) -> None:
+    given = Folders(folders["today"], further=(folders["tomorrow"], folders["yesterday"]))
+    sessions, _ = diagnose.read.fn(given, DRIVE)
+    assert names(sessions.training) == ["drive_01", "drive_02", "tomorrow/drive_01", "yesterday/drive_01",
+                                        "yesterday/drive_02"]  # fmt: skip
+    assert names(sessions.heldout) == ["tomorrow/drive_02"]
+    with pytest.raises(RecordingError, match=r"the session drive_01 is the session drive_01 of another folder"):
+        diagnose.read.fn(Folders(folders["today"], further=(folders["today"],)), DRIVE)
+
+
 @pytest.mark.parametrize("purpose", ["recordings", "heldout", "baseline"])
 def test_a_velocity_that_is_a_difference_is_refused(folders: dict[str, Path], tmp_path: Path, purpose: str) -> None:
     for session in read_recordings(folders["tomorrow"], DRIVE.schema, DRIVE.time_step)[0]:

@@ -1,5 +1,6 @@
 """Shares of the recordings, what is found in them, and cells that are given it."""
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,8 +14,9 @@ from simgap.effects.augmented import Augmented
 from simgap.effects.regime import everywhere
 from simgap.formats.documents import read_json, write_json
 from simgap.formats.recordings import write_recording
-from simgap.models import FittedSimulator
+from simgap.models import BNN, FittedSimulator
 from simgap.recordings import HISTORY
+from simgap.residual.model import ResidualModel
 from simgap.simulators import sample_parameters
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
@@ -31,7 +33,9 @@ PARAMS = load_params(
     Path(__file__).parents[2] / "params.yaml",
     {"train": {"bnn": {"max_training_steps": 100, "evaluate_every": 50, "measurement_sets": 4,
                        "hidden_layer_sizes": [8]},
-               "sim_model": {"training_steps": 100, "evaluate_every": 50}, "sim_fsvgd": {"function_samples": 8}},
+               "sim_model": {"training_steps": 100, "evaluate_every": 50}, "sim_fsvgd": {"function_samples": 8},
+               "residual": {"simulator_steps": 50, "training_steps": 50, "evaluate_every": 25, "outputscales": [0.1],
+                            "lengthscales": [2.0], "horizon": 10}},
      "score": {"horizons": [5], "stride": 20}},
 )  # fmt: skip
 
@@ -150,21 +154,27 @@ def test_a_diagnosis_that_fails_leaves_no_other_in_its_place(
     assert len(asked) == 1
 
 
-@pytest.mark.parametrize("model", ["sim_model_diagnosed", "sim_fsvgd_diagnosed"])
+@pytest.mark.parametrize("model", ["sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed"])
 @pytest.mark.usefixtures("asked")
-def test_a_diagnosed_cell_is_trained_and_scored(workspace: Workspace, model: str) -> None:
+def test_a_diagnosed_cell_is_trained_and_scored(workspace: Workspace, recordings: list[Recording], model: str) -> None:
     cell = Cell("gaussian", model, 80, 0)
     assert cell.share is not None
     assert diagnosed.shares([cell, cell._replace(noise="student_t"), cell._replace(model="fsvgd")]) == [cell.share]
     find(workspace, cell.share)
     found = diagnosed.load(workspace, cell.share)
-    fitted = train.fit(cell, transitions.load(workspace, "training"), found.simulator, PARAMS.train, lambda *_: None)
+    shutil.rmtree(workspace.recordings / "test")  # training, choices included, has no use for test sessions
+    seen = diagnosed.seen(workspace, cell.share, STEP)
+    assert sum(len(r.time_s) - 1 - HISTORY for r in seen) == pytest.approx(80, abs=HISTORY + 1)
+    rows = transitions.load(workspace, "training")
+    fitted = train.fit(cell, rows, found.simulator, PARAMS.train, lambda *_: None, seen)
+    write_recording(workspace.recordings / "test", recordings[3], SCHEMA)
     save_model(workspace.model(cell), fitted)
     write_json(workspace.record(cell), {"seconds": 1.0, "steps": 2, "curve": {}, "effects": ["delay"]})
     row = score.score_cell.fn(workspace, cell, score.load_test.fn(workspace, STEP), PARAMS.score)
     assert row["effects"] == "delay"
     assert np.isfinite([row["nll"], row["rollout_ee_5"]]).all()
-    assert isinstance(fitted, FittedSimulator) == (model == "sim_model_diagnosed")
+    kinds = {"sim_model_diagnosed": FittedSimulator, "sim_fsvgd_diagnosed": BNN, "residual_diagnosed": ResidualModel}
+    assert type(fitted) is kinds[model]
 
 
 def test_where_nothing_is_found_the_model_is_its_twin(workspace: Workspace, recordings: list[Recording]) -> None:

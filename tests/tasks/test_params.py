@@ -38,7 +38,7 @@ def test_the_projects_parameters_are_the_papers() -> None:
 
 def test_the_small_size_changes_only_sizes() -> None:
     full = load_params(ROOT / "params.yaml")
-    small = load_params(ROOT / "params.yaml", yaml.safe_load((ROOT / "small.yaml").read_text()))
+    small = load_params(ROOT / "params.yaml", yaml.safe_load((ROOT / "pipelines" / "small.yaml").read_text()))
     assert small.train.fsvgd == full.train.fsvgd
     assert small.train.bnn.learning_rate == full.train.bnn.learning_rate
     assert small.train.bnn.max_training_steps < full.train.bnn.max_training_steps
@@ -91,7 +91,7 @@ def with_another(values: Any, path: tuple[str | int, ...], value: Any) -> Any:
 
 
 ABSURD = (math.inf, -math.inf, math.nan, 1e18, -1e18, "1e18", "many", None, {"a": 1}, [[[[1]]]], {"a": {"a": {"a": 1}}})
-LOAD = {"params.yaml": load_params, "sealed/params.yaml": load_sealed}
+LOAD = {"params.yaml": load_params, "pipelines/sealed/params.yaml": load_sealed}
 
 
 def keys(file: str) -> list[Leaf]:

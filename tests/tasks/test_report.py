@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from PIL import Image
 
 from simgap.formats.documents import read_json
 from tasks import report, score
@@ -108,6 +109,7 @@ def test_report_writes_what_dvc_declares(tmp_path: Path) -> None:
     names = {path.name for path in workspace.reports.iterdir()}
     assert names == {"report.md", "scores.csv", "summary.csv", "metrics.json", "nll.csv", "nll_against_n.png",
                      "rollouts_against_n.png"}  # fmt: skip
+    assert Image.open(workspace.reports / "nll_against_n.png").mode == "P"  # a palette: git keeps them
     wide = pd.read_csv(workspace.reports / "nll.csv")
     assert wide.columns.tolist() == ["sample_size", "gaussian_fsvgd", "gaussian_sim_fsvgd", "gaussian_sim_model"]
     text = (workspace.reports / "report.md").read_text()
@@ -115,10 +117,15 @@ def test_report_writes_what_dvc_declares(tmp_path: Path) -> None:
     assert "nan" not in text
 
 
-def test_a_score_that_is_not_finite_stays_one_scores_trouble(tmp_path: Path) -> None:
+def test_a_score_that_is_not_finite_stays_one_models_trouble(tmp_path: Path) -> None:
+    """And `dvc metrics show` has a number a model: the mean NLL at the largest N, under the better noise."""
     workspace = Workspace(tmp_path, "virtual")
-    score.write(workspace, [{**r, "nll": math.inf} if r["model"] == "fsvgd" else r for r in PAPER])
+    both = [*PAPER, *({**r, "noise": "student_t", "nll": r["nll"] - 1.0} for r in PAPER if r["model"] == "sim_fsvgd")]
+    score.write(workspace, [{**r, "nll": math.inf} if r["model"] == "fsvgd" else r for r in both])
     report.write(workspace, score.load(workspace), ["gaussian"], 60)
-    metrics = read_json(workspace.reports / "metrics.json")["gaussian"]
-    assert metrics["fsvgd"]["N1000"]["nll"] is None
-    assert metrics["sim_fsvgd"]["N1000"]["nll"] == pytest.approx(-19.9667, abs=1e-3)
+    metrics = read_json(workspace.reports / "metrics.json")
+    assert metrics == {
+        "nll_fsvgd": None,
+        "nll_sim_fsvgd": pytest.approx(-23.2, abs=1e-6),
+        "nll_sim_model": pytest.approx(-20.0, abs=1e-6),
+    }

@@ -1,5 +1,7 @@
 """The door to MLflow, against a real SQLite store."""
 
+import base64
+import json
 import math
 import os
 import pickle
@@ -8,6 +10,8 @@ import subprocess
 import sys
 import threading
 import time
+import zlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,10 +24,10 @@ import pytest
 from scipy import stats
 
 from simgap import models, networks
-from simgap.recordings import Normalisation
+from simgap.recordings import Normalisation, to_transitions
 from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import DivergenceError, SimgapError
+from simgap.types import DivergenceError, Recording, RecordingError, SimgapError
 from tasks import pyfunc
 from tasks.files.models import save_model
 from tasks.tracking import links
@@ -32,7 +36,6 @@ from tasks.tracking.runs import Run, cell_run, close_stale_runs, grid_run, lates
 from tasks.tracking.store import Store, open_store
 
 OUTPUTS = SCHEMA.encoded
-INPUTS = OUTPUTS + tuple(f"{c.name}_{age}" for age in ("t-2", "t-1", "t") for c in SCHEMA.command)
 DYING = """
 import os, sys
 from pathlib import Path
@@ -74,6 +77,11 @@ def fitted_spot() -> models.FittedSpot:
     return models.FittedSpot(
         jnp.asarray((low + high) / 2), jnp.full(13, 0.1), jnp.full(13, jnp.inf), jnp.asarray(1 / 15)
     )
+
+
+def recorded(rows: int) -> Recording:
+    rng = np.random.default_rng(0)
+    return Recording("drawn", np.arange(rows) / 15, rng.normal(size=(rows, 12)), rng.normal(size=(rows, 6)))
 
 
 def test_a_grid_holds_its_cells(store: Store):
@@ -167,7 +175,7 @@ def test_threads_log_cells_at_once(store: Store, tmp_path: Path):
             run.params({"k": k})
             run.curve(list(range(100)), {f"m{i}": [float(k)] * 100 for i in range(5)})
             run.dataset("shared", Path("shared.npz"), "1234", "training")
-            log_model(run, tmp_path / "model.npz", INPUTS, OUTPUTS)
+            log_model(run, tmp_path / "model.npz")
             run.scores({"k": k})
         return run
 
@@ -230,7 +238,7 @@ def test_a_logged_model_loads_and_predicts(
     save_model(tmp_path / "model.npz", model)
     with cell_run(store, "none", "model", {}) as run:
         run.params({"seed": 1})
-        uri = log_model(run, tmp_path / "model.npz", INPUTS, OUTPUTS)
+        uri = log_model(run, tmp_path / "model.npz")
     Run(store, run.run_id).scores({"nll": -3.0})  # a later stage's
     assert os.environ.get("MLFLOW_TRACKING_URI") is None
     logged = store.client.get_logged_model(uri.removeprefix("models:/"))
@@ -239,19 +247,37 @@ def test_a_logged_model_loads_and_predicts(
     assert facts(run).data.metrics == {"nll": -2.0, "rmse": 0.1}
 
     monkeypatch.setenv("MLFLOW_TRACKING_URI", store.uri)
-    x = np.random.default_rng(0).normal(size=(7, 31))
-    table = pd.DataFrame(x, columns=list(INPUTS), index=range(10, 17))
+    session = recorded(10)
+    x = to_transitions(SCHEMA, [session]).x
+    table = pd.DataFrame(np.column_stack([session.time_s, session.state, session.command]), columns=SCHEMA.columns)
+    table.index = pd.RangeIndex(20, 30)
     loaded = mlflow.pyfunc.load_model(f"runs:/{run.run_id}/model")
-    predicted = loaded.predict(table[list(reversed(INPUTS))])
-    expected = jax.vmap(models.predict, in_axes=(None, 0))(model, jnp.asarray(x, jnp.float32))
+    predicted = loaded.predict(table[list(reversed(SCHEMA.columns))])
+    assert list(predicted.index) == list(table.index)
+    pd.testing.assert_frame_equal(mlflow.pyfunc.load_model(uri).predict(table), predicted)
+    assert predicted.isna().all(axis=1).tolist() == [True] * 2 + [False] * 8
+    predicted = predicted[2:-1]  # the last row has no successor in the transitions
+    expected = jax.vmap(models.predict, in_axes=(None, 0))(model, x)
     mean = predicted[[f"mean_{o}" for o in OUTPUTS]].to_numpy()
     std = predicted[[f"std_{o}" for o in OUTPUTS]].to_numpy()
     np.testing.assert_allclose(mean, expected.mean.mean(1), rtol=1e-5, atol=1e-6)
     noise = std**2 - np.asarray(expected.mean).var(1)
     inside = stats.t.cdf(np.sqrt(noise) / expected.scale, expected.dof) - 0.5
     np.testing.assert_allclose(2 * inside, stats.norm.cdf(1) - stats.norm.cdf(-1), rtol=1e-3)
-    assert list(predicted.index) == list(table.index)
-    pd.testing.assert_frame_equal(mlflow.pyfunc.load_model(uri).predict(table), predicted)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda table: table.drop(columns="cmd_ee_vz"), "lacks cmd_ee_vz; it must have the columns of a recording"),
+        (lambda table: pd.concat([table, table]), "time_s does not increase after row 10 of the table"),
+    ],
+)
+def test_a_table_that_is_no_session_is_refused(change: Callable[[pd.DataFrame], pd.DataFrame], words: str):
+    session = recorded(10)
+    table = pd.DataFrame(np.column_stack([session.time_s, session.state, session.command]), columns=SCHEMA.columns)
+    with pytest.raises(RecordingError, match=words):
+        pyfunc.Dynamics(fitted_spot()).predict(change(table))
 
 
 def test_noise_std_is_the_standard_deviation_where_noise_is_gaussian():
@@ -268,6 +294,23 @@ def test_a_link_leads_to_the_run(store: Store):
     assert f"#/experiments/{store.experiment_id}/runs/{run.run_id}?" in text
     server = Store("https://me:secret@host/", "grid", "7")
     assert links.to_run(server, "abc") == "https://host/#/experiments/7/runs/abc?workflowType=machine_learning"
+
+
+def test_a_comparison_opens_on_results_and_the_parameters_that_differ(tmp_path: Path):
+    store = open_store(tmp_path, "compared", pages="http://127.0.0.1:5000")
+    with grid_run(store, "grid", {"seed": "[0, 1]", "rate": 1}, {"sweep": "s"}) as grid:
+        for seed in (0, 1):
+            with cell_run(store, grid.run_id, f"cell-{seed}", {"sweep": "s"}) as cell:
+                cell.params({"model": "fsvgd", "seed": seed, "rate": 2})
+    with cell_run(store, "none", "of another sweep", {"sweep": "t"}) as cell:
+        cell.params({"model": "sim_model", "seed": 0})
+    assert links.differing(store, "tags.sweep = 's'") == ["params.`seed`"]
+    assert sorted(links.differing(store, "")) == ["params.`model`", "params.`seed`"]
+    address = links.to_comparison(store, "s", "tags.sweep = 's'", links.MODEL_RESULTS)
+    assert address.endswith("viewStateShareKey=s")
+    packed = store.client.get_experiment(store.experiment_id).tags["mlflow.sharedViewState.s"]
+    state = json.loads(zlib.decompress(base64.b64decode(packed.removeprefix("deflate;"))))
+    assert state["selectedColumns"] == ["params.`seed`", *links.MODEL_RESULTS]
 
 
 def test_a_deleted_experiment_says_what_to_do(tmp_path: Path, store: Store):

@@ -1,10 +1,22 @@
 """What identifies a cell, and what does not."""
 
+import dataclasses
 from pathlib import Path
 
-from simgap.simulators.spot import SCHEMA
 from tasks import train
-from tasks.fingerprint import AUGMENTED, DIAGNOSIS, TRAINING, code_digest, codes, fingerprint, modules_of
+from tasks.fingerprint import (
+    AUGMENTED,
+    DIAGNOSIS,
+    POLICY,
+    POLICY_RESIDUAL,
+    RESIDUAL,
+    TRAINING,
+    Codes,
+    code_digest,
+    codes,
+    fingerprint,
+    modules_of,
+)
 from tasks.params import load_params
 from tasks.workspace import Cell, Share, Workspace
 
@@ -44,7 +56,28 @@ def test_code_of_the_diagnosis_makes_no_other_model_stale() -> None:
     assert not set(diagnosis) & set(modules_of(TRAINING))
     assert set(modules_of(TRAINING)) | set(effects) <= set(modules_of(AUGMENTED))
     assert not (set(diagnosis) - set(effects)) & set(modules_of(AUGMENTED))
-    assert len(set(codes())) == 3
+    assert len(set(codes())) == 4
+
+
+def test_the_code_of_the_residual_makes_no_other_model_or_policy_stale() -> None:
+    residual = [path for path in modules_of(RESIDUAL) if path.parent.name == "residual"]
+    assert {"learn", "fit", "train", "model", "pace"} <= {path.stem for path in residual}
+    for others in (TRAINING, AUGMENTED, DIAGNOSIS, POLICY):
+        assert not set(residual) & set(modules_of(others))
+    assert set(modules_of(POLICY)) | {path for path in residual if path.stem == "model"} <= set(
+        modules_of(POLICY_RESIDUAL)
+    )
+    made = Codes("training", "augmented", "residual", "diagnosis")
+    models = {"fsvgd": "training", "sim_model_diagnosed": "augmented", "residual_diagnosed": "residual"}
+    assert {model: made.of(CELL._replace(model=model)) for model in models} == models
+
+
+def test_only_a_residuals_fingerprint_holds_its_hyperparameters() -> None:
+    other = PARAMS.model_copy(update={"residual": dataclasses.replace(PARAMS.residual, durations=3)})
+    for model, same in (("sim_model_diagnosed", True), ("sim_fsvgd", True), ("residual_diagnosed", False)):
+        cell = CELL._replace(model=model)
+        marks = [fingerprint(cell, "d", 1 / 15, params, "c") for params in (PARAMS, other)]
+        assert (marks[0] == marks[1]) == same
 
 
 def test_a_diagnosed_cells_fingerprint_holds_its_diagnosis() -> None:
@@ -56,18 +89,10 @@ def test_a_diagnosed_cells_fingerprint_holds_its_diagnosis() -> None:
 
 
 def test_the_grid_has_every_cell_once_longest_first() -> None:
-    models = ["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed"]
+    models = ["sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed"]
     cells = train.grid(PARAMS.model_copy(update={"models": models}))
-    assert len(cells) == len(set(cells)) == 5 * 2 * 5 * 3
+    assert len(cells) == len(set(cells)) == 6 * 2 * 5 * 3
     assert [cell.sample_size for cell in cells] == sorted((c.sample_size for c in cells), reverse=True)
-
-
-def test_inputs_have_31_distinct_names() -> None:
-    names = train.input_columns(SCHEMA)
-    assert len(names) == len(set(names)) == 31
-    assert names[:4] == ("base_x", "base_y", "sin_base_yaw", "cos_base_yaw")
-    assert names[13] == "cmd_base_vx_2"
-    assert names[-1] == "cmd_ee_vz"
 
 
 def test_cells_that_left_the_grid_leave_the_folder(tmp_path: Path) -> None:

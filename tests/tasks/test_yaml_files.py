@@ -68,7 +68,9 @@ def test_any_text_is_read_or_refused_in_one_line(tmp_path_factory: pytest.TempPa
     assert "\n" not in said(path)
 
 
-@pytest.mark.parametrize("name", ["params.yaml", "dvc.yaml", "dvc.lock", "small.yaml", "sealed/params.yaml"])
+@pytest.mark.parametrize(
+    "name", ["params.yaml", "dvc.yaml", "dvc.lock", "pipelines/small.yaml", "pipelines/sealed/params.yaml"]
+)
 def test_the_projects_files_are_read_as_any_reader_reads_them(name: str) -> None:
     assert read_yaml(ROOT / name) == yaml.safe_load((ROOT / name).read_text())
 

@@ -44,13 +44,29 @@ def _headings(layout: Layout) -> list[int]:
 
 def seen_names(layout: Layout) -> list[str]:
     """What each number that `seen` gives is called."""
-    names = [
-        f"{b} {q}" for b in layout.bodies for q in ("forward speed", "sideways speed", "vertical speed", "yaw rate")
-    ]
-    names += [f"{b} {q}" for b in layout.bodies for q in ("ahead", "to the left", "height")]
+    names = [f"{body} {q}" for b, body in enumerate(layout.bodies) for q in _speeds(layout, b)]
+    names += [f"{body} {q}" for b, body in enumerate(layout.bodies) for q in _places(layout, b)]
     if not layout.bodies:
         names = [f.name for f in layout.schema.state]
     else:
         names += [f"{q} of {layout.schema.state[i].name}" for q in ("sine", "cosine") for i in _headings(layout)]
         names += [f.name for f in layout.schema.state if not f.body]
     return names + [f.name for f in layout.schema.command]
+
+
+def _speeds(layout: Layout, body: int) -> list[str]:
+    """What a body's velocities along the four axes are called."""
+    return _called(layout, body, ["forward speed", "sideways speed", "vertical speed", "yaw rate"], "speed")
+
+
+def _places(layout: Layout, body: int) -> list[str]:
+    """What a body's positions along the first three axes are called."""
+    return _called(layout, body, ["ahead", "to the left", "height"], "position")
+
+
+def _called(layout: Layout, body: int, names: list[str], alone: str) -> list[str]:
+    """Names of axes; of a body that moves along one alone, it is `alone`, and the others, which never vary, numbers."""
+    if not layout.single(body):
+        return names
+    moves = (layout.velocity[body] >= 0) | (layout.position[body] >= 0)
+    return [alone if moves[axis] else f"{alone} {axis + 1}" for axis in range(len(names))]

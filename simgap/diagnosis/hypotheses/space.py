@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from simgap.diagnosis.likelihood.problem import Group
-from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import Constant, Effect, Scales, Site
 
@@ -36,7 +35,7 @@ def candidates(augmented: Augmented, scales: Scales, events: bool = False) -> li
     """All hypotheses of one effect that acts throughout, or of those that act during a stretch only."""
     return [
         _candidate(augmented, scales, e, where, members)
-        for e, (effect, sites) in enumerate(zip(CATALOGUE, augmented.sites, strict=True))
+        for e, (effect, sites) in enumerate(zip(augmented.catalogue, augmented.sites, strict=True))
         if effect.event == events
         for where, members in _tied(effect, sites)
     ]
@@ -64,7 +63,7 @@ def within_session(
 
 
 def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:
-    effect, sites = CATALOGUE[e], augmented.sites[e]
+    effect, sites = augmented.catalogue[e], augmented.sites[e]
     entries = [tuple(augmented.index[Slot(e, k, s)] for s in members) for k in range(len(effect.constants))]
     low, high = augmented.bounds
     starts = []
@@ -85,7 +84,7 @@ def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members
 
 def unit_of(augmented: Augmented, candidate: Candidate, constant: Constant) -> str:
     """The unit of a candidate's constant where it acts."""
-    site = augmented.sites[CATALOGUE.index(candidate.effect)][candidate.sites[0]]
+    site = augmented.sites[augmented.catalogue.index(candidate.effect)][candidate.sites[0]]
     return constant.unit.replace("{u}", site.unit)
 
 

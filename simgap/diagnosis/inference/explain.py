@@ -19,10 +19,12 @@ from simgap.diagnosis.inference.onsets import acts_when, begins
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.select import search
 from simgap.diagnosis.inference.two_sample import acted_before, behind_gate, differs, leaves, scatter_since
+from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
 from simgap.effects.augmented import Augmented
+from simgap.engines import Engine, is_engine
 from simgap.types import Recording, Sessions, StepModel
 
 
@@ -69,15 +71,22 @@ class _Found(NamedTuple):
 
 
 def explain(
-    simulator: StepModel, sessions: Sessions, rng: np.random.Generator, say: Say, ranges_hold: bool = True
+    simulator: StepModel | Engine,
+    sessions: Sessions,
+    rng: np.random.Generator,
+    say: Say,
+    ranges_hold: bool = True,
+    before: Explanation | None = None,
 ) -> Explanation:
     """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`, `ranges_hold` as in
-    `Problem`."""
+    `Problem`. An engine is tabulated where an explanation from `before` leads along, or as it is."""
     augmented, baseline = Augmented(simulator), sessions.baseline
     scales, time_step = measure(augmented, sessions.fitted), simulator.time_step
     chunks = behind_gate(cut(sessions.fitted, time_step), len(baseline))
     unseen = cut(sessions.heldout, time_step, least=len(chunks.row))
-    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.state)), ranges_hold)
+    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
+    problem = _tabulated(problem, before)
+    chunks = problem.chunks
     as_is = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(as_is.e))
     throughout, events = candidates(augmented, scales), candidates(augmented, scales, events=True)
@@ -88,7 +97,7 @@ def explain(
     # A change is measured beside its twin: what both have and the baseline alone was too short to show is no change.
     found = _look(asked, problem, unseen, [changed(c) for c in throughout] if baseline else throughout, ())
     changes = bool(baseline and found.members)  # beside which nothing else is looked for
-    scattered = [] if changes else scatter(found.model.problem, found.model.fit, unseen)
+    scattered = [] if changes else scatter(found.model.problem, found.model.fit, found.unseen)
     looked_at, odd = found.model.fit, sum(s.gain for s in scattered if s.rare)
     if not baseline:
         # Odd rows would make up as much as a weak member gains.
@@ -114,6 +123,15 @@ def explain(
     )  # fmt: skip
 
 
+def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
+    """With tables of an engine, where an earlier explanation leads or as it is; as it was without an engine."""
+    if not is_engine(problem.augmented.simulator):
+        return problem
+    v, gate = (start(problem), problem.chunks.gate) if before is None else (before.fit.v, before.problem.chunks.gate)
+    table = tabulated(problem, v, problem.chunks._replace(gate=gate)).table
+    return problem._replace(chunks=problem.chunks._replace(table=table), near=np.asarray(v.phi))
+
+
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:
     """The simulator with the effects that the baseline shows by itself, evaluated on all sessions."""
     asked.say(f"what the baseline of {len(baseline)} sessions shows by itself")
@@ -132,12 +150,15 @@ def _look(
 ) -> _Found:
     """Search for effects, each of which then defends its place against its alternatives."""
 
+    def holds_out(problem: Problem, tried: Tried, owed: float) -> bool:
+        heldout = gain(problem, tabulated(problem, tried.fit.v, unseen), tried.without, tried.fit)
+        return agrees(by_row(tried.without, tried.fit), heldout, problem.chunks, owed)
+
     def helps(problem: Problem, tried: Tried, owed: float) -> bool:
         # What acts in one session of training only is nothing to the others.
         support = tried.candidate.groups[0].support
         elsewhere = support and not np.asarray(unseen.gate)[:, support - 1].any()
-        gained = by_row(tried.without, tried.fit)
-        holds = elsewhere or agrees(gained, gain(problem, unseen, tried.without, tried.fit), problem.chunks, owed)
+        holds = elsewhere or holds_out(problem, tried, owed)
         return holds and (not asked.baseline or differs(problem, tried, asked.baseline))
 
     as_is = asked.as_is
@@ -145,6 +166,8 @@ def _look(
     searched = search(problem, evaluate(problem, v, as_is.groups), hypotheses, helps, asked.rng, asked.say)
     model, members, rounds = defend(searched, hypotheses, helps, asked.rng, asked.say)
     members = tuple(_acting_when(m, supports) for m in members)
+    unseen = tabulated(model.problem, model.fit.v, unseen)
+    problem = problem._replace(chunks=model.problem.chunks, near=model.problem.near)
     return _Found(problem, unseen, searched, model, members, rounds, supports)
 
 
@@ -169,13 +192,13 @@ def _restricted(asked: _Asked, found: _Found, odd: float) -> _Found:
             return found
         supports = (*found.supports, when)
         hypotheses = [*asked.throughout, *(h for i, w in enumerate(supports, 1) for h in _within(asked, w, i))]
-        problem = found.problem._replace(chunks=opened(layout, asked.chunks, supports))
+        problem = found.problem._replace(chunks=opened(layout, found.problem.chunks, supports))
         further = _look(asked, problem, seen_at(layout, asked.unseen, supports), hypotheses, supports)
         if not further.members or (found.supports and not any(m.when == when for m in further.members)):
             return found
         found = further
         if not any(m.when for m in found.members):
-            return found._replace(supports=(), unseen=asked.unseen)
+            return found._replace(supports=(), unseen=opened(layout, found.unseen, ()))
     return found
 
 
@@ -201,5 +224,5 @@ def _disturbed(asked: _Asked, found: _Found, changes: bool) -> tuple[_Found, Mod
     if not pays or any(acted_before(m.when, asked.baseline) for m in members) or model is found.model:
         return found, base
     supports = tuple(m.when for m in members if m.when)
-    unseen = seen_at(found.problem.augmented.layout, asked.unseen, supports)
+    unseen = seen_at(found.problem.augmented.layout, found.unseen, supports)
     return found._replace(model=model, members=members, supports=supports, unseen=unseen), None

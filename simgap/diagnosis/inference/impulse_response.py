@@ -19,6 +19,8 @@ from simgap.layout import X, Y
 
 ROWS = 8
 """Rows in which a push shows."""
+DRIFTS = ("body_frame_bias", "constant_load")
+"""Effects that push steadily along one axis: of bodies, and of joints."""
 LEAST_LEFT = 0.02
 """Share of what pushes change that a model cannot absorb, below which what is left is rounding."""
 Echo = Float[np.ndarray, "C T-1 k s"]
@@ -30,7 +32,7 @@ def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
     # What acts for a while only hardly changes how a push echoes: the pushes take the place of all supports.
     v = v._replace(delta=np.zeros_like(v.delta[:1]))
     problem = problem._replace(chunks=problem.chunks._replace(gate=problem.chunks.gate[:, :1]))
-    drifts = [c for c in candidates(problem.augmented, problem.scales) if c.effect.id == "body_frame_bias"]
+    drifts = [c for c in candidates(problem.augmented, problem.scales) if c.effect.id in DRIFTS]
     still = raw_innovations(problem, v)
     own = {c.where: _echo(problem, v, still, c.groups[0], c.starts[0][0]) for c in drifts if len(c.sites) == 1}
     layout, world = problem.augmented.layout, {}

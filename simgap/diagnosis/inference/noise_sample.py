@@ -11,7 +11,6 @@ from jaxtyping import Float, Int
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations, replaced, row_trials
-from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Slot
 from simgap.kinematics import motion
 from simgap.layout import Layout
@@ -65,14 +64,15 @@ class Fitted(NamedTuple):
 
 def robot_of(problem: Problem) -> Robot:
     layout = problem.augmented.layout
-    schema, names = layout.schema, tuple(f.name for f in layout.schema.state)
-    bodies = {b: np.array([i for i, f in enumerate(schema.state) if f.body == b], int) for b in layout.bodies}
+    schema, names = layout.schema, tuple(f.name for f in layout.schema.outputs)
+    bodies = {b: np.array([i for i, f in enumerate(schema.outputs) if f.body == b], int) for b in layout.bodies}
     subsystems = [("", names)]
     for channels in _subsystems(layout)[1:]:
         own = {schema.command[c].body for c in channels}
-        subsystems.append((f" of {', '.join(sorted(own))}", tuple(f.name for f in schema.state if f.body in own)))
-    integrated = layout.integrates >= 0
-    interval = float(np.median(problem.scales.interval[integrated])) if integrated.any() else problem.scales.time_step
+        subsystems.append((f" of {', '.join(sorted(own))}", tuple(f.name for f in schema.outputs if f.body in own)))
+    integrated = layout.integrates[layout.observed] >= 0
+    advance = problem.scales.interval[layout.observed][integrated]
+    interval = float(np.median(advance)) if integrated.any() else problem.scales.time_step
     positions = tuple(n for n, own in zip(names, integrated, strict=True) if own)
     return Robot(interval, problem.scales.time_step, names, positions, bodies, subsystems)
 
@@ -90,7 +90,10 @@ def sample_of(problem: Problem, fit: Fit) -> Sample:
     layout, scales = problem.augmented.layout, problem.scales
     counts = np.asarray(chunks.counts)
     # As predicted: what was measured in a row holds the row's own noise, and would be large where that is.
-    state = (np.asarray(chunks.state)[:, 1:] - raw_innovations(problem, fit.v))[counts]
+    state = np.array(chunks.state)[:, 1:]
+    outputs = len(problem.whiten)
+    state[..., :outputs] -= raw_innovations(problem, fit.v)
+    state = state[counts]
     speed, moves = np.maximum(scales.speed, 1e-6), scales.speed > 1e-6
     squared = np.asarray(jax.vmap(lambda s: (motion(layout, s).velocity / speed) ** 2 * moves)(jnp.asarray(state)))
     each = squared.sum(2) / np.maximum(moves.sum(1), 1)
@@ -98,11 +101,11 @@ def sample_of(problem: Problem, fit: Fit) -> Sample:
     moving = np.sqrt(np.column_stack([whole, each]))
     integrates = layout.integrates
     rate = np.where(integrates >= 0, state[:, np.maximum(integrates, 0)], 0.0) * scales.interval
-    keys, theta = [effect.key for effect in CATALOGUE], fit.v.theta
+    keys, theta = [effect.key for effect in problem.augmented.catalogue], fit.v.theta
     held = []
     for channels in _subsystems(layout):
         delays = [problem.augmented.index[Slot(keys.index("delay"), 0, s)] for s in channels]
         held.append(row_trials(problem, fit.v, [replaced(theta, delays, theta[delays] + k) for k in HELD]))
     e = evaluate(problem, fit.v, fit.groups, fit.noise).e
     usual = np.quantile(moving, 0.95, axis=0) if len(moving) else np.ones(moving.shape[1])
-    return Sample(e, moving / np.maximum(usual, 1e-9), rate @ problem.whiten.T, held, blocks(counts))
+    return Sample(e, moving / np.maximum(usual, 1e-9), rate[:, :outputs] @ problem.whiten.T, held, blocks(counts))

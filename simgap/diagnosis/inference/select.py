@@ -8,6 +8,7 @@ from simgap.diagnosis.config import LEVEL, MOST_EFFECTS, MOST_SITES
 from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, optimise, refine
 from simgap.diagnosis.inference.model import (
+    SETTLED,
     Found,
     Helps,
     Model,
@@ -19,6 +20,7 @@ from simgap.diagnosis.inference.model import (
     least,
     settled,
 )
+from simgap.diagnosis.inference.relinearise import carried_on, fitted, relinearised, standing
 from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials, value_of
@@ -153,23 +155,40 @@ def search(
     rng: np.random.Generator,
     say: Say,
 ) -> Found:
-    """Add effects one by one, each the best of those that are more than noise and that held-out sessions agree to."""
-    model = decorrelated(problem, optimise(problem, fit)[0])
-    base, chosen, rounds = model.fit, [], []
+    """Add effects one by one, each the best of those that are more than noise and that held-out sessions agree to.
+
+    An engine is searched with its parameters held first: fitted far, where an effect is missing, they hide it. Every
+    gain is over parameters that are fitted.
+    """
+    held = standing(problem)
+    model = decorrelated(held, optimise(held, fit)[0])
+    there, rest = relinearised(model.problem, model.fit)
+    base, chosen, rounds, refitted = rest, [], [], rest.loglik - model.fit.loglik < SETTLED
     while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
         found = one_more(model, candidates, rng, say)
         owed = found.screening.threshold / 2
         worthy = [t for t in found.tried if t.gain > max(owed, least(model.problem, base, model.fit, t.fit))]
-        best = next((t for t in worthy if helps(model.problem, t, owed)), None)
-        for t in worthy[: worthy.index(best)] if best else worthy:
-            say(f"{t.candidate.name} does not hold on sessions that took no part")
+        best = None
+        for t in worthy:
+            retabulated, best = carried_on(model.problem, t, rest)
+            gains = best is t or best.gain > max(owed, least(retabulated, base, rest, best.fit))
+            if gains and helps(retabulated, best, owed):
+                model = decorrelated(retabulated, best.fit)
+                break
+            say(f"{t.candidate.name} does not hold on sessions that took no part" if gains else
+                f"{t.candidate.name} gains too little over fitted parameters")  # fmt: skip
+            best = None
+        refitted, again = True, not refitted
+        if best is None and again:
+            model = fitted(there, rest)
+            continue
         if best is None:
             rounds.append(found)
             break
         # Rivals are compared with what was chosen, the best that holds.
-        tried = sorted(found.tried, key=lambda t: (t is not best, -t.gain))
+        tried = [best, *(t for t in found.tried if t.candidate is not best.candidate)]
         rounds.append(found._replace(tried=tried, accepted=best.candidate.name))
         chosen.append(best.candidate)
         say(f"added {best.candidate.name} ({best.gain:+.1f} nats)")
-        model = decorrelated(model.problem, best.fit)
+        rest = model.fit
     return Found(base, model, chosen, rounds)

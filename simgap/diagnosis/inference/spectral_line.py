@@ -56,7 +56,7 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
     odds = _odds(pieces, k, best, above)
     if held <= 0 or odds is None:
         return None
-    field, hertz = problem.augmented.simulator.schema.state[best], 1 / (SEGMENT * problem.scales.time_step)
+    field, hertz = problem.augmented.simulator.schema.outputs[best], 1 / (SEGMENT * problem.scales.time_step)
     line = line_of(pieces.e[:, :, best], k, level)
     times = 1 / _left_of_wave(problem, fit, best, line.amplitude[0], hertz * line.frequency[0])
     unit = field.unit
@@ -67,12 +67,12 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
         for name, scale, of, (value, low, high) in
         (("amplitude", times, unit, line.amplitude), ("frequency", hertz, "Hz", line.frequency))
     ]  # fmt: skip
-    said = (
-        f"The body shakes periodically, at {constants[1]['value']:.2f} Hz with about {constants[0]['value']:.2g} {unit}"
-    )
+    what, like = ("joint", "") if problem.augmented.layout.jointed else ("body", ", as stepping does")
+    amplitude, frequency = (c["value"] for c in constants)
+    said = f"The {what} shakes periodically, at {frequency:.2f} Hz with about {amplitude:.2g} {unit}"
     shown = Spectrum(power[:, best], level * count, k, count, hertz, field)
     return Scatter(
-        "gait_oscillation", False, constants, (field.name,), f"{said} ({field.name}), as stepping does.", gain, held,
+        "gait_oscillation", False, constants, (field.name,), f"{said} ({field.name}){like}.", gain, held,
         odds, shown,
     )  # fmt: skip
 

@@ -86,9 +86,10 @@ def touched(layout: Layout, fit: Fit, without: Fit) -> Bool[np.ndarray, " s"]:
     """The outputs that an effect improves; `without` is the fit that lacks it. A position and its velocity are one."""
     more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
     improved = more > TOUCHED * max(float(more.sum()), 0.0)
-    moved = layout.integrates >= 0
-    either = improved[moved] | improved[layout.integrates[moved]]
-    improved[moved], improved[layout.integrates[moved]] = either, either
+    velocity = layout.integrates[layout.observed]
+    (moved,) = np.nonzero((velocity >= 0) & (velocity < len(velocity)))  # a velocity may be no output
+    either = improved[moved] | improved[velocity[moved]]
+    improved[moved], improved[velocity[moved]] = either, either
     return improved
 
 

@@ -19,8 +19,9 @@ PRIOR_PRECISION = 1.0
 
 def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Float[np.ndarray, " M"]]:
     """Unit directions of all that is free (phi by ranges, K, constants by scales), and the precision of their prior."""
-    p, s, size = len(problem.augmented.simulator.parameters), len(problem.whiten), len(problem.augmented.slots)
-    c = len(problem.augmented.layout.akin)
+    layout = problem.augmented.layout
+    p, s, size = len(problem.augmented.simulator.parameters), len(layout.observed), len(problem.augmented.slots)
+    c = len(layout.akin)
     m = p + s + c + len(groups)
     phi, gain, cross, theta = (np.zeros((m, n), np.float32) for n in (p, s, c, size))
     delta = np.zeros((m, problem.chunks.gate.shape[1], size), np.float32)
@@ -55,7 +56,10 @@ def _bounds(problem: Problem, theta: Float[np.ndarray, " P"], group: Group) -> t
 
 def _ranges(problem: Problem) -> tuple[Any, Any]:
     """Least and greatest values that the parameters may have."""
-    return problem.augmented.ranges if problem.ranges_hold else (-np.inf, np.inf)
+    low, high = problem.augmented.ranges if problem.ranges_hold else (-np.inf, np.inf)
+    if problem.near is None:
+        return low, high
+    return np.maximum(low, problem.near - problem.reach), np.minimum(high, problem.near + problem.reach)
 
 
 def room_to_move(

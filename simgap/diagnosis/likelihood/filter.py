@@ -8,6 +8,8 @@ estimate x of the state is carried by the simulator and corrected by each measur
 with a gain K, fitted together with everything else. As in a Kalman filter it has entries across outputs: a jolt of the
 base moves the hand as well, and a position informs about its velocity. With a diagonal gain, innovations would be
 predictable where nothing is missing. K is constant in the bodies' own frames.
+
+A state that recordings lack has no innovation; the others correct it by the gain's entries across outputs.
 """
 
 from collections.abc import Sequence
@@ -22,7 +24,7 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.segments import Chunks, bare
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
-from simgap.effects.step import advance, remember, sense, unsense
+from simgap.effects.step import advance, follow, remember, sense, unsense
 from simgap.kinematics import rotated, wrapped
 from simgap.layout import Layout
 
@@ -42,6 +44,12 @@ class Variables(NamedTuple):
 def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
     """Differences of states, those of angles between -pi and pi."""
     return wrapped(augmented.layout, jnp.asarray(difference))
+
+
+def innovation(augmented: Augmented, y: Float[Array, "... s"], seen: Float[Array, "... s"]) -> Float[Array, "... s"]:
+    """Measured less predicted; zero for states that are not measured."""
+    e, observed = wrap(augmented, y - seen), augmented.layout.observed
+    return e if observed.all() else jnp.where(observed, e, 0.0)
 
 
 def gain_matrix(augmented: Augmented, v: Variables) -> Float[Array, "s s"]:
@@ -68,12 +76,9 @@ def acting(v: Variables, theta: Theta, gate: Sequence[Float[Array, ""]] | Float[
     return theta
 
 
-_Rows = Float[Array, "T-1 s"]
-
-
 def _chunk(
     augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, other: Theta | None = None
-) -> tuple[_Rows, _Rows]:
+) -> tuple[Float[Array, "T-1 s"], Float[Array, "T-1 o"]]:
     """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations.
 
     With `other` constants, each innovation is what it would be, had that step alone been taken with these.
@@ -85,32 +90,39 @@ def _chunk(
 
     def row(carry, now):
         memory, x = carry
-        y_next, u, time_s, next_s, interval, gate = now
+        y_next, u, time_s, next_s, interval, gate, table = now
 
         def step(theta: Theta) -> tuple[Memory, Float[Array, " s"], Float[Array, " s"]]:
-            here, theta = Row(time_s, interval), acting(v, theta, gate)
+            here, theta = Row(time_s, interval, table), acting(v, theta, gate)
             after, foretold = advance(augmented, phi, theta, scales, memory, x, u, here, active)
             seen = sense(augmented, theta, after, foretold, here._replace(time_s=next_s), active)
-            return after, foretold, wrap(augmented, y_next - seen)
+            return after, foretold, innovation(augmented, y_next, seen)
 
         after, foretold, e = step(v.theta)
         told = e if other is None else step(other)[2]
-        return (after, corrected(augmented.layout, K, foretold, e)), (x, told)
+        return (after, corrected(augmented.layout, K, foretold, e)), (x, told[: len(augmented.layout.schema.outputs)])
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
-    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:, :-1].T)
+    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:, :-1].T, chunk.table)
     return jax.lax.scan(row, (memory, first), rows)[1]
 
 
-def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunks: Chunks) -> Float[Array, "C T-1 o"]:
     _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
     return jnp.where(chunks.counts[..., None], e, 0.0)
 
 
 @partial(jax.jit, static_argnames="augmented")
-def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
-    """Innovations in the outputs' units, zero in rows that do not count."""
+def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 o"]:
+    """Innovations of the observed outputs in their units, zero in rows that do not count."""
     return _all(augmented, scales, v, augmented.active(v.theta, *v.delta), chunks)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def innovations_from(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 o"]:
+    """Innovations from the first row of each segment on, run-in and all."""
+    active = augmented.active(v.theta, *v.delta)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[1])(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
@@ -121,7 +133,28 @@ def estimates_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chu
 
 
 @partial(jax.jit, static_argnames="augmented")
-def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 s"]:
+def sent_of(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 parts u"]:
+    """Of an engine's rows, the commands that act in their parts."""
+    active = augmented.active(v.theta, *v.delta)
+
+    def one(chunk: Chunks) -> Float[Array, "T-1 parts u"]:
+        at_start = acting(v, v.theta, chunk.gate[:, 0])
+        memory = remember(
+            augmented, jnp.asarray(v.phi), at_start, chunk.state[0], chunk.past, chunk.time_s[0], chunk.turns, active
+        )
+
+        def row(memory: Memory, now: tuple) -> tuple[Memory, Float[Array, "parts u"]]:
+            u, time_s, interval, gate = now
+            return follow(augmented, acting(v, v.theta, gate), memory, u, Row(time_s, interval), active)
+
+        rows = (chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:, :-1].T)
+        return jax.lax.scan(row, memory, rows)[1]
+
+    return jax.vmap(one)(bare(chunks)._replace(table=None))
+
+
+@partial(jax.jit, static_argnames="augmented")
+def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 o"]:
     """What each innovation would be, had its step alone been taken with other constants than those before it."""
     active = augmented.active(v.theta, *v.delta, theta)
     return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
@@ -134,11 +167,11 @@ def tangents(
     v: Variables,
     directions: tuple[Float[Array, "M p"], Float[Array, "M s"], Float[Array, "M c"]],
     chunks: Chunks,
-) -> Float[Array, "M C T-1 s"]:
+) -> Float[Array, "M C T-1 o"]:
     """Derivatives of the innovations along M directions in phi and K (its diagonal, its other entries)."""
     active = augmented.active(v.theta, *v.delta)
 
-    def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 s"]:
+    def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 o"]:
         at = lambda p, g, c: _all(augmented, scales, v._replace(phi=p, gain=g, cross=c), active, chunks)  # noqa: E731
         return jax.jvp(at, (v.phi, v.gain, v.cross), direction)[1]
 

@@ -17,21 +17,30 @@ from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 
+NEAR = 0.5
+"""How far parameters, which are logarithms, may go from where an engine was tabulated: a factor of 1.6. Without a bound
+tables and engine differed by thousands of nats."""
+TRUSTED = 0.5
+"""Share of an innovation that a fit begins with trusting a measurement."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
 
 
 class Problem(NamedTuple):
-    """Recordings and the simulator to explain them; `whiten` decorrelates the innovations' outputs.
+    """Recordings and the simulator to explain them; `whiten` decorrelates the innovations of the o observed outputs.
 
-    ranges_hold: parameters stay in their declared ranges. Without, it is asked what other ranges would explain.
+    ranges_hold: parameters stay in their declared ranges. Without, it is asked what other ranges would explain. near:
+    parameters at which an engine was tabulated, far from which the tables do not hold. reach: how far from there they
+    may go; 0 holds them.
     """
 
     augmented: Augmented
     scales: Scales
     chunks: Chunks
-    whiten: Float[np.ndarray, "s s"]
+    whiten: Float[np.ndarray, "o o"]
     ranges_hold: bool = True
+    near: Float[np.ndarray, " p"] | None = None
+    reach: float = NEAR
 
 
 class Group(NamedTuple):
@@ -63,14 +72,19 @@ def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: N
 
 
 def start(problem: Problem) -> Variables:
-    """Nominal parameters, equal trust in prediction and measurement, no effect."""
+    """Nominal parameters, equal trust in prediction and measurement, no effect.
+
+    A state that is not observed follows those that are, as the rate of an alpha-beta filter [Kalata 1984] does.
+    """
     layout = problem.augmented.layout
-    sizes = (len(layout.schema.state), len(layout.akin), len(problem.augmented.slots))
-    gain, cross, zero = (np.zeros(n, np.float32) for n in sizes)
+    follows = [not layout.observed[i] and bool(layout.observed[j]) for i, j in layout.akin]
+    sizes = (len(layout.schema.state), len(problem.augmented.slots))
+    gain, zero = (np.zeros(n, np.float32) for n in sizes)
+    phi = problem.augmented.nominal
     return Variables(
-        problem.augmented.nominal,
-        gain + 0.5,
-        cross,
+        phi if problem.near is None else np.clip(phi, problem.near - problem.reach, problem.near + problem.reach),
+        gain + TRUSTED,
+        np.where(follows, TRUSTED**2 / (2 - TRUSTED), 0.0).astype(np.float32),
         zero,
         np.zeros((problem.chunks.gate.shape[1], len(zero)), np.float32),
     )
@@ -109,8 +123,8 @@ def with_value(v: Variables, group: Group, value: float) -> Variables:
     return v._replace(delta=delta)
 
 
-def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
-    """Innovations in the outputs' own units, zero in rows that do not count."""
+def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
+    """Innovations in the observed outputs' own units, zero in rows that do not count."""
     return np.asarray(innovations_of(problem.augmented, problem.scales, v, problem.chunks))
 
 

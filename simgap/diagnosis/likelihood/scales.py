@@ -5,14 +5,19 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales, axis_indices, floored, reaching
+from simgap.effects.stepping import efforts
+from simgap.engines import Engine, is_engine
 from simgap.kinematics import motion
-from simgap.types import Recording
+from simgap.simulators.tables import by_effort
+from simgap.types import Recording, StepModel
 
 QUANTILES = np.linspace(0, 1, 21)
+PROBES = 200
+"""Rows in which it is looked how far an effort moves a joint."""
 STEPS = 1e-6
 """Of the greatest change of a command, below which a change is its rounding."""
 
@@ -59,11 +64,12 @@ def _axis_commands(
 
     A command that is always zero has no size: the one then that would change the velocity by as much as it changes.
     """
-    layout, simulator = augmented.layout, augmented.simulator
+    layout = augmented.layout
     ends = np.cumsum([len(r.time_s) for r in recordings])[:-1]
     changes = np.concatenate([np.diff(part, axis=0) for part in np.split(velocity, ends)])
-    rest = jnp.zeros(len(layout.schema.state)), jnp.zeros(commands.shape[1])
-    response = np.asarray(jax.jacfwd(lambda u: simulator.step(jnp.asarray(augmented.nominal), rest[0], u))(rest[1]))
+    if is_engine(augmented.simulator):
+        return _usual_efforts(augmented.simulator, augmented, recordings, changes)
+    response = _response(augmented.simulator, jnp.asarray(augmented.nominal))
     sizes = []
     for b, a in axis_indices(layout):
         column = layout.command[b, a]
@@ -76,6 +82,32 @@ def _axis_commands(
         else:
             sizes.append(_usual(velocity[:, b, a][:, None])[0])
     return np.array(sizes)
+
+
+def _response(simulator: StepModel, phi: Float[Array, " p"]) -> Float[np.ndarray, "s u"]:
+    """Derivatives of the next state at rest by the commands."""
+    rest, still = jnp.zeros(len(simulator.schema.state)), jnp.zeros(len(simulator.schema.command))
+    return np.asarray(jax.jacfwd(lambda u: simulator.step(phi, rest, u))(still))
+
+
+def _usual_efforts(
+    engine: Engine,
+    augmented: Augmented,
+    recordings: Sequence[Recording],
+    changes: Float[np.ndarray, "m b 4"],
+) -> Float[np.ndarray, " k"]:
+    """Efforts that would change the velocities of an engine's joints by as much as they usually change."""
+    states = np.concatenate([r.state for r in recordings])
+    commands = np.concatenate([r.command for r in recordings])
+    chosen = np.linspace(0, len(states) - 1, min(PROBES, len(states))).astype(int)
+    held = np.repeat(commands[chosen, None], engine.parts, axis=1)
+    sizes = {}
+    for i, (b, a) in enumerate(efforts(augmented.layout)):
+        moved = by_effort(engine, augmented.nominal.astype(float), states[chosen], held, i)
+        slope = np.abs(moved[:, augmented.layout.velocity[b, a]])
+        per_unit = float(np.median(slope[np.isfinite(slope)])) if np.isfinite(slope).any() else 0.0
+        sizes[b, a] = _usual(changes[:, b, a][:, None])[0] / per_unit if per_unit > 0 else 1.0
+    return np.array([sizes[place] for place in axis_indices(augmented.layout)])
 
 
 def _intervals(augmented: Augmented, recordings: Sequence[Recording]) -> np.ndarray:

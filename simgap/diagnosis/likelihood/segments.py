@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from simgap.effects.effect import HISTORY_ROWS
+from simgap.engines import Table
 from simgap.types import Recording
 
 LENGTH = 40
@@ -29,7 +30,8 @@ class Chunks(NamedTuple):
     """Sessions cut into C chunks of T = RUN_IN + LENGTH + 1 rows.
 
     past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: 1 where support s
-    is open, else 0. session: index into the recordings; row: of the chunk's first row in its session.
+    is open, else 0. session: index into the recordings; row: of the chunk's first row in its session. table: what an
+    engine does near an estimate of every row but the last; without it, the simulator itself is run.
     """
 
     state: Float[Array, "C T s"]
@@ -42,6 +44,7 @@ class Chunks(NamedTuple):
     gate: Float[Array, "C S T"]
     session: Int[np.ndarray, " C"]
     row: Int[np.ndarray, " C"]
+    table: Table | None = None
 
 
 def sent_before(

@@ -101,7 +101,8 @@ def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
         if not seen
     ]
     if untested := untested_of(found):
-        notes.append(f"Could not test {', '.join(untested)}: the simulator leaves the finite numbers there.")
+        names = ", ".join(map(wording.title, untested))
+        notes.append(f"Could not test {names}: the simulator leaves the finite numbers there.")
     if len(sessions.heldout) < scores.LEAST_SESSIONS:
         few = "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
         notes.append(few)

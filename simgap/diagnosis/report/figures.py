@@ -25,7 +25,7 @@ SHOWN_S = 12.0
 
 
 def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
-    """Pictures of one effect: what it explains, against what the robot does; and how sharply its constant is told."""
+    """Pictures of one effect: what it explains, against what the robot does; and the likelihood of its constant."""
     shown = {"effect": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where}
     return [shown | p for p in (*_explained(problem, fit, candidate, found), *_profile(problem, fit, candidate))]
 
@@ -57,7 +57,7 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
         "x": centre, "y": [at + float(np.median(left[m])) for at, m in zip(line, members, strict=True)],
         "y_err": [_error_of_median(left[m]) for m in members],
         "line_x": centre, "line_y": line,
-        "caption": "Line: what the law says there. Dots: with the median of what it leaves over (95 % interval).",
+        "caption": "Line: the law. Dots: the law plus the median of the residuals (95 % interval).",
     }]  # fmt: skip
 
 
@@ -109,7 +109,7 @@ def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
     keep = np.isfinite(loglik) & np.isfinite(x)
     order = np.argsort(np.array(x)[keep])
     return [{
-        "title": f"How sharply the {constant.name} is told",
+        "title": f"Likelihood of the {constant.name}",
         "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood less its best [nats]",
         "x": [], "y": [], "y_err": [],
         "line_x": np.array(x)[keep][order].tolist(), "line_y": (loglik - loglik.max())[keep][order].tolist(),
@@ -131,7 +131,7 @@ def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Cont
     return [
         {"session": recording.name, "output": f.name, "unit": f.unit, "time_s": time, "measured": measured[:, i],
          **{name: p[:, i] for name, p in predicted.items()}}
-        for i, f in enumerate(problem.augmented.simulator.schema.state)
+        for i, f in enumerate(problem.augmented.simulator.schema.outputs)
     ]  # fmt: skip
 
 

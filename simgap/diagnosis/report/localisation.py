@@ -55,7 +55,7 @@ def excess(augmented: Augmented, chunks: Chunks, base: Float[np.ndarray, "C t s"
 
 def outputs(augmented: Augmented, found: Excess) -> list[dict]:
     """Outputs whose error a better model lowers, with the share it removes, greatest first."""
-    names = [f.name for f in augmented.simulator.schema.state]
+    names = [f.name for f in augmented.simulator.schema.outputs]
     total = found.nats.sum(0)
     keep = [i for i in range(len(names)) if total[i] > 0.02 * np.maximum(total, 0).sum() and found.share[i] > 0.005]
     return [{"name": names[i], "excess": float(found.share[i])} for i in sorted(keep, key=lambda i: -found.share[i])]
@@ -134,7 +134,7 @@ def heat(augmented: Augmented, found: Excess) -> dict:
                              ("high", values > edges[1])):  # fmt: skip
             labels.append(f"{found.names[k]}: {word}")
             columns.append(found.nats[inside].mean(0) if inside.any() else np.full(found.nats.shape[1], np.nan))
-    names = [f.name for f in augmented.simulator.schema.state]
+    names = [f.name for f in augmented.simulator.schema.outputs]
     return {"outputs": names, "regimes": labels, "values": np.stack(columns, axis=1)}
 
 

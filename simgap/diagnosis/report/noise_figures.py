@@ -56,7 +56,7 @@ def _between(
         "title": "What it explains of single rows", "x_label": axis.label, "y_label": "rows", "y_scale": "log",
         "x": x[seen], "y": rows[seen], "y_err": np.minimum(1.96 * np.sqrt(rows), 0.9 * rows)[seen],
         "line_x": x[likely], "line_y": expected[likely],
-        "caption": "Dots: rows, those that can tell (95 % interval). Line: as many as the law expects there.",
+        "caption": "Dots: rows that can distinguish the laws (95 % interval). Line: as many as the law expects.",
     }]  # fmt: skip
 
 
@@ -72,12 +72,12 @@ def _widening(
     x = [float(moving[m].mean()) for m in members]
     y = [float(np.median(standard[m]) / at_rest) for m in members]
     return [{
-        "title": "What it explains of the scatter", "x_label": "motion, 1 at the usual speed [-]",
-        "y_label": "scatter, 1 at rest [-]",
+        "title": "What it explains of the noise", "x_label": "motion, 1 at the usual speed [-]",
+        "y_label": "noise, 1 at rest [-]",
         "x": x, "y": y,
         "y_err": [1.96 * ERROR_OF_MAD * w / np.sqrt(standard[m].size) for w, m in zip(y, members, strict=True)],
         "line_x": x, "line_y": [1 + (ratio - 1) * m for m in x],
-        "caption": "Dots: half of the rows' innovations are smaller (95 % interval). Line: the law.",
+        "caption": "Dots: median size of the innovations (95 % interval). Line: the law.",
     }]  # fmt: skip
 
 
@@ -95,5 +95,5 @@ def _spectrum(
         "y_label": f"power [({field.unit})²]", "y_scale": "log",
         "x": x, "y": y, "y_err": min(1.96 / np.sqrt(segments), 0.9) * y,
         "line_x": x, "line_y": line[shown] / segments,
-        "caption": "Dots: what is measured (95 % interval). Line: the wave, and the level of frequencies around it.",
+        "caption": "Dots: measured (95 % interval). Line: the wave, and the level of the frequencies around it.",
     }]  # fmt: skip

@@ -131,7 +131,7 @@ def _matches(found: Explanation, member: Member, effect: dict[str, Any]) -> bool
 
 def _left(found: Explanation, left: LeftOver) -> dict[str, Any]:
     """What can still be foretold of the innovations, by output."""
-    fields = found.problem.augmented.simulator.schema.state
+    fields = found.problem.augmented.simulator.schema.outputs
     told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, left.share, strict=True) if p]
     return {"nats": float(left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
 
@@ -163,7 +163,11 @@ def _excess(found: Explanation, outcome: Outcome, chunks: Chunks) -> localisatio
         part[np.asarray(chunks.counts)] = e @ np.linalg.inv(problem.whiten).T
         return fitted - part
 
-    nameless = (base - predicted, less(left_over(problem, seen).foretold), less(seen.e - with_law))
+    nameless = (
+        base - predicted[..., : base.shape[-1]],
+        less(left_over(problem, seen).foretold),
+        less(seen.e - with_law),
+    )
     return max((localisation.excess(problem.augmented, chunks, base, e) for e in nameless), key=lambda e: e.nats.sum())
 
 
@@ -202,7 +206,7 @@ def _scattered(s: Scatter) -> dict[str, Any]:
 def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> dict[str, Any]:
     problem, candidate = found.problem, member.candidate
     constants = posterior.constants(problem, found.fit, candidate, found.sd, member.gain)
-    outputs = candidate.outputs or tuple(f.name for f in problem.augmented.simulator.schema.state)
+    outputs = candidate.outputs or tuple(f.name for f in problem.augmented.simulator.schema.outputs)
     when = member.when
     if when is not None and candidate.effect.event:
         constants += posterior.edges(problem, found.fit, candidate, when)

@@ -1,6 +1,7 @@
 """A diagnosis in an engineer's words."""
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,6 +30,8 @@ def effect(candidate: Candidate, constants: list[dict[str, Any]]) -> str:
     said = candidate.effect.says.format(**{c["name"]: quantity(c) for c in constants})
     # Along one axis of a body that turns it shows in two outputs.
     shown = (candidate.where,) if candidate.where in candidate.outputs else candidate.outputs
+    if candidate.effect.place == "engine" and len(candidate.sites) == 1 and candidate.where != "all":
+        return f"{said[0].upper()}{said[1:]} ({candidate.where})."  # a joint, an actuator or a body by its own name
     where = ", ".join(candidate.channels or shown) or candidate.where
     return f"{said[0].upper()}{said[1:]} ({where})."
 
@@ -50,14 +53,14 @@ NO_COMMANDS = "The machine takes no commands, so no experiment can be proposed."
 def experiment(designed: Experiment, ids: Sequence[str]) -> str:
     """What to command, and what for."""
     return (
-        f"To tell {ids[0]} from {ids[1]}, start at rest and command {designed.words}; "
-        f"the two differ there by {designed.nats:,.0f} nats in {designed.time_s[-1]:.0f} s."
+        f"To separate {title(ids[0])} from {title(ids[1])}, start at rest and command {designed.words}; "
+        f"their predictions then differ by {designed.nats:,.0f} nats within {designed.time_s[-1]:.0f} s."
     )
 
 
 def law(term: dict[str, Any]) -> str:
     """A term of a law without a name."""
-    return f"{term['axis']} is pushed, depending on {' and '.join(term['depends_on'])}"
+    return f"a push on {term['axis']} depends on {' and '.join(term['depends_on'])}"
 
 
 def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
@@ -188,7 +191,7 @@ def _would_show(told: dict[str, Any]) -> str:
     first: dict[str, dict[str, Any]] = {}
     for v in seen["effects"]:
         if v["size"] is not None:
-            first.setdefault(place_of[v["effect"]], v)
+            first.setdefault(place_of.get(v["effect"], "engine"), v)  # what is in no catalogue is an engine's own
     sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
     return f" With a probability of {seen['chance']:.0%} these would have been found, for example: {'; '.join(sizes)}."
 
@@ -227,8 +230,12 @@ def _steps(n: int) -> str:
 
 
 def title(effect: str) -> str:
-    """An effect's name: its id with spaces."""
-    return effect.replace("_", " ")
+    """An effect's one name: its id with spaces, its form in brackets, like `reach limit (horizontal) on ee_vx`.
+
+    Names of channels and outputs, after ` on `, stay as they are.
+    """
+    ident, on, where = effect.partition(" on ")
+    return re.sub(r"^([^.]+)\.([^.]+)$", r"\1 (\2)", ident.replace("_", " ")) + on + where
 
 
 def listed(names: Sequence[str]) -> str:

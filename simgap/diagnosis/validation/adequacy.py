@@ -84,10 +84,12 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
 def _stands(found: Explanation, judged: Judgement, i: int, little: bool, rng: np.random.Generator) -> bool:
     """Whether a member is named: it explains most of what there is to explain, or stands out whatever else is missing.
 
-    What makes forecasts worse is a wrong idea, however likely it makes the next row.
+    What makes forecasts worse is a wrong idea, however likely it makes the next row: surely worse, or on held-out
+    and on fitted sessions alike.
     """
     m, pairs = found.members[i], _pairs(judged, i)
-    if any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
+    dearer = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
+    if any(h > 1 for h in dearer) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
         return False
     return (found.names(m) and not little) or _stands_out(found, m, *pairs[0], rng)
 

@@ -93,6 +93,7 @@ def _by_row(layout: Layout, x: Array, sent: Array, e: Array) -> tuple[Float[Arra
 def _design(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
     """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
     e = counted(problem.chunks, raw_innovations(problem, v))
+    e = np.pad(e, ((0, 0), (0, len(problem.augmented.layout.observed) - e.shape[1])))
     z, target = _by_row(problem.augmented.layout, *_seen(problem, v), e)
     return np.asarray(z), np.asarray(target)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, wrap
+from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, innovation
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
@@ -135,6 +135,6 @@ def _go_on(
         # While measurements correct the filter it runs as it did when the box was trained on what it leaves over.
         x = x + (1 - trust) * added
         seen = sense(augmented, theta, memory, x, here._replace(time_s=next_s), active)
-        return (memory, corrected(augmented.layout, trust * K, x, wrap(augmented, y_next - seen))), seen
+        return (memory, corrected(augmented.layout, trust * K, x, innovation(augmented, y_next, seen))), seen
 
     return jax.vmap(lambda going, rows: jax.lax.scan(row, going, rows))(going, rows)

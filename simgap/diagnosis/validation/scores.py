@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtrit
 
-from simgap.diagnosis.config import LEAST_SESSIONS, LEVEL, MARGIN
+from simgap.diagnosis.config import LEAST_SESSIONS, LEAST_SHARE, LEVEL, MARGIN
 from simgap.diagnosis.likelihood.filter import wrap
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
@@ -67,9 +67,10 @@ def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
     """What forecasts miss; their likelihood is still open."""
     predicted, measured = forecast(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
-    error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))
+    outputs = problem.augmented.layout.observed
+    error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))[..., outputs]
     start = np.asarray(pieces.state)[:, -measured.shape[1] - 1]
-    moved = np.asarray(wrap(problem.augmented, measured[:, steps] - start[:, None]))
+    moved = np.asarray(wrap(problem.augmented, measured[:, steps] - start[:, None]))[..., outputs]
     return Judged(error, moved, np.full(len(error), np.nan), pieces.session)
 
 
@@ -170,6 +171,13 @@ def changes(a: Judged, b: Judged, rng: np.random.Generator, outputs: Sequence[in
 def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
     """The horizons [rows] at which b, by `MARGIN` and beyond chance, misses more of the motion than a."""
     return [h for h, c in zip(horizons(a), changes(a, b, rng), strict=True) if c["ci95"][0] > MARGIN]
+
+
+def dearer_at(a: Judged, b: Judged) -> set[int]:
+    """The horizons [rows] at which b misses more of the motion than a by `LEAST_SHARE`, by chance or not."""
+    every = np.arange(len(a.session))
+    missed = ([_share_missed(j, k, every) for j in (a, b)] for k in range(a.error.shape[1]))
+    return {h for h, (before, after) in zip(horizons(a), missed, strict=True) if after > (1 + LEAST_SHARE) * before}
 
 
 def explodes(a: Judged, b: Judged) -> bool:

@@ -129,7 +129,7 @@ def test_its_corrected_simulator_is_loaded(folder: Path, monkeypatch: pytest.Mon
     simulator = simgap.load(folder / "found")
     rows = [{"angle": 1.0, "rate": 2.0}, {"angle": 1.0, "rate": 0.0}]
     got = _load_pyfunc(str(folder / "found" / "augmented.npz"), {"simulator": "pendulum:FREE"}).predict(
-        pd.DataFrame(rows)
+        pd.DataFrame(rows).assign(time_s=[0.0, 0.1])
     )
     assert list(got.columns) == ["next_angle", "next_rate"]
     expected = [

@@ -13,7 +13,7 @@ from small import RICH, acting, sessions
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.report import wording
-from simgap.diagnosis.validation.scores import HORIZONS, Judged, beats, changes, surely_likelier, worse_at
+from simgap.diagnosis.validation.scores import HORIZONS, Judged, beats, changes, dearer_at, surely_likelier, worse_at
 from simgap.types import Recording, Sessions
 
 
@@ -65,6 +65,16 @@ def test_where_refitting_makes_it_worse_is_known_by_horizon() -> None:
     (_, _, last) = changes(judged(nominal), judged(refitted), rng)
     assert last["value"] == pytest.approx(0.5)
     assert changes(judged(nominal), judged(refitted), rng, [0])[2]["value"] == pytest.approx(0.5)
+
+
+def test_where_a_model_costs_more_than_laws_may_differ_is_known_by_horizon() -> None:
+    before, after = noise(0), noise(0)
+    after[:, 1] *= 1.02
+    after[:, 2] *= 1.05
+    assert dearer_at(judged(before), judged(after)) == {HORIZONS[2]}
+    assert dearer_at(judged(after), judged(before)) == set()
+    after[:, 0] = np.inf
+    assert dearer_at(judged(before), judged(after)) == {HORIZONS[0], HORIZONS[2]}
 
 
 def test_two_pieces_are_too_few_to_be_sure() -> None:

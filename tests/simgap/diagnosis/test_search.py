@@ -74,6 +74,8 @@ UNSEEN = {
     "sampling_interval.stamped": "rows are evenly spaced here",
     "external_push.world_frame": "it acts for a while only: see below",
     "external_push.own_frame": "as well",
+    "external_push.on_joint": "of an engine's joints: see test_engines",
+    "constant_load": "as well",
 }
 
 

@@ -17,7 +17,7 @@ from examples.drive import DRIVE
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE, resistance
 from simgap.effects.augmented import Augmented, Slot
-from simgap.effects.command_path import fading_of
+from simgap.effects.command_filters import fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Step
 from simgap.effects.step import advance, follow, sense, unsense
 from simgap.kinematics import motion
@@ -32,7 +32,7 @@ VOCABULARY = {
     "relative_smoothing", "frame_misalignment", "sampling_interval", "integration_rule", "motion_dependent_noise",
     "sensor_delay", "sensor_bias", "sensor_scale",
 }  # fmt: skip
-ADDITIONS = {"induced_velocity"}
+ADDITIONS = {"induced_velocity", "constant_load"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}
 ABOUT_A_WORLD_COORDINATE = {"sensor_scale", "sensor_bias"}
 

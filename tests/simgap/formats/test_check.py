@@ -169,7 +169,7 @@ def test_sessions_that_are_there_twice_or_overlap_are_found(tmp_path: Path) -> N
     whole, late, other = rows(), rows(), rows(start=200)
     late["time_s"] += 5000.0
     (line,) = found(tmp_path, whole, late, other)
-    assert line.startswith("1 sessions are there twice: walk_1 (as walk_0). Remove one")
+    assert line.startswith("Sessions that are there twice: walk_1 (as walk_0). Remove one")
     (line,) = found(tmp_path, whole.iloc[:200], whole.iloc[150:], other)
     assert line.startswith("Sessions overlap, they have rows in common: walk_0 and walk_1 (50 rows)")
 
@@ -233,9 +233,9 @@ def test_two_thousand_sessions_are_a_page(tmp_path: Path) -> None:
     assert time.perf_counter() - start < 120
     assert len(page.encode()) < 5_000_000
     assert len(checked.sessions) == 1714
-    assert "1,514 more sessions are not in this table: those whose intervals are the most even" in page
+    assert "1,514 more sessions, those with the most even intervals, are left out of this table" in page
     assert "86 more files are left out and not listed" in page
-    assert "<td>walk_1234</td>" in page
+    assert ">walk_1234</th>" in page
     assert len(checked.findings) < 10
     assert all(len(line) < 500 for line in checked.findings)
 

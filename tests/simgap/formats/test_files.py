@@ -28,8 +28,10 @@ from simgap.formats.documents import read_json, write_json, write_table, write_t
 from simgap.formats.folders import remove_folder
 from simgap.formats.pickles import PICKLE_LIMIT
 from simgap.formats.recordings import LARGEST, read_recordings, write_recording
-from simgap.models import BNN, FittedSimulator, FittedSpot, Model, predict
+from simgap.models import BNN, FittedSimulator, FittedSpot
+from simgap.prediction import Model, predict
 from simgap.recordings import normalisation
+from simgap.residual.model import ResidualModel
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import MOST_ROWS, Recording, RecordingError, SimgapError
@@ -599,13 +601,25 @@ def fitted_simulator() -> FittedSimulator:
     return FittedSimulator(simulator, spot.params, spot.scale, spot.dof)
 
 
+def with_residual() -> ResidualModel:
+    fitted, rng = fitted_simulator(), np.random.default_rng(4)
+    particles: Any = [(rng.normal(size=(2, i, o)), rng.normal(size=(2, 1, o))) for i, o in ((27, 4), (4, 12))]
+    particles = [(w.astype(np.float32), b.astype(np.float32)) for w, b in particles]
+    of = [np.float32(a) for a in (np.zeros(27), np.ones(27), np.full(12, 0.1))]
+    one: Any = np.float32(1.0)
+    durations: Any = np.array([0.9, 1.1, 2.5], np.float32)
+    return ResidualModel(fitted.simulator, fitted.params, durations, one, one, particles, *of, fitted.scale, fitted.dof)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
-    "model", [bnn(), fitted_spot(), fitted_simulator()], ids=["BNN", "FittedSpot", "FittedSimulator"]
+    "model",
+    [bnn(), fitted_spot(), fitted_simulator(), with_residual()],
+    ids=["BNN", "FittedSpot", "FittedSimulator", "ResidualModel"],
 )
 def test_a_model_read_back_predicts_the_same(tmp_path: Path, model: Model) -> None:
     save_model(tmp_path / "model.npz", model)
     read = load_model(tmp_path / "model.npz")
-    if isinstance(model, FittedSimulator):
+    if isinstance(model, FittedSimulator | ResidualModel):
         assert read.simulator == model.simulator  # type: ignore[union-attr]
     x: Any = np.random.default_rng(2).normal(size=31).astype(np.float32)
     for one, other in zip(predict(read, x), predict(model, x), strict=True):
@@ -620,7 +634,9 @@ def test_a_model_of_another_simulator_is_not_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "model", [bnn(), fitted_spot(), fitted_simulator()], ids=["BNN", "FittedSpot", "FittedSimulator"]
+    "model",
+    [bnn(), fitted_spot(), fitted_simulator(), with_residual()],
+    ids=["BNN", "FittedSpot", "FittedSimulator", "ResidualModel"],
 )
 def test_a_model_with_other_arrays_is_named(tmp_path: Path, model: Model) -> None:
     path = tmp_path / "model.npz"
@@ -638,7 +654,7 @@ def test_a_model_with_other_arrays_is_named(tmp_path: Path, model: Model) -> Non
 @pytest.mark.parametrize("arrays", [{"x": np.ones(3)}, {"kind": np.array("GaussianProcess")}, {"kind": np.ones(9)}])
 def test_arrays_that_are_no_model_are_named(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     save_arrays(tmp_path / "other.npz", arrays)
-    with pytest.raises(SimgapError, match=r"other\.npz: holds no model; .* must be BNN, FittedSpot or FittedSimulator"):
+    with pytest.raises(SimgapError, match=r"other\.npz: holds no model; .* must be BNN, .* or ResidualModel"):
         load_model(tmp_path / "other.npz")
 
 

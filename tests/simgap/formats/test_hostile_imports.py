@@ -28,7 +28,7 @@ from mcap.writer import Writer as McapWriter
 
 from simgap.formats.documents import read_json
 from simgap.formats.importing import import_sessions
-from simgap.formats.mapping import MappingFile, read_mapping
+from simgap.formats.mapping import MappingFile, check_columns, read_mapping
 from simgap.formats.recordings import read_recordings
 from simgap.formats.tables import read_table
 from simgap.simulators.spot import SCHEMA
@@ -38,7 +38,9 @@ from simgap.types import MOST_ROWS, ConfigError, RecordingError, SimgapError
 def mapping_file(folder: Path, content: Any) -> MappingFile:
     path = folder / "mapping.yaml"
     path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
-    return read_mapping(path, SCHEMA)
+    mapping = read_mapping(path)
+    check_columns(path, mapping, SCHEMA, SCHEMA.columns)
+    return mapping
 
 
 def bring(path: Path, content: Any) -> list[Any]:

@@ -128,7 +128,7 @@ def test_percents_have_a_scale(tmp_path: Path) -> None:
         ),
         (
             {"column": "observation.state.ee_q", "unit": "m"},
-            r"has no column observation\.state\.ee_q; there are observat",
+            r"state\.ee_q; nearest to observation\.state\.ee_q is observation\.state\.ee_\w\. Not used: .*state\.ee_z",
         ),
         ({"column": "observation.images.top.0", "unit": "m"}, r"has no column observation\.images\.top\.0"),
         ({"topic": "/hand", "field": "z"}, r"the mapping has no `column` for ee_z"),

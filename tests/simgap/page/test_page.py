@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from simgap.page import marks, wording
 from simgap.page.figures import Figures
 from simgap.page.render import page
+from simgap.page.tried import tried
 
 PAGE = Path(__file__).parents[3] / "simgap" / "page"
 EFFECT = {
@@ -21,7 +22,7 @@ EFFECT = {
     "credible_set": ["reach_limit", "rate_limit"], "gain_nats": 164.2, "heldout_gain_nats": 58.3, "from_s": 12.3,
 }  # fmt: skip
 STATEMENT: dict[str, Any] = {
-    "simulator": "spot", "verdict": "missing_physics", "statement": "The simulator leaves out reach_limit.",
+    "simulator": "spot", "verdict": "missing_physics", "statement": "The simulator leaves out the reach limit.",
     "warnings": ["The refitted simulator is worse."], "something_else": True,
     "recordings": {"training_sessions": ["walk"], "heldout_sessions": ["turn"], "baseline": ["before"]},
     "located": {"outputs": [{"name": "ee_vx", "excess": 0.5}], "regimes": [{"when": "reach > 0.9 m", "share": 0.4}],
@@ -30,7 +31,7 @@ STATEMENT: dict[str, Any] = {
     "left_over": {"nats": 9.0, "outputs": [{"name": "ee_vx", "share": 0.1}]},
     "law": [{"axis": "ee_vx", "depends_on": ["reach", "ee_x"], "gain_nats": 20.0}],
     "alternatives": [{"effects": ["rate_limit"], "probability": 0.19}],
-    "experiment": {"statement": "To separate reach_limit from rate_limit, push.", "commands": "experiment.csv",
+    "experiment": {"statement": "To separate reach limit from rate limit, push.", "commands": "experiment.csv",
                    "separates": ["reach_limit", "rate_limit"]},
     "parameters": {"before": {"alpha": 0.1}, "after": {"alpha": 0.2}, "ci95": {"alpha": [0.1, 0.3]},
                    "units": {"alpha": "m"}, "ranges": {"alpha": [0.0, 1.0]}},
@@ -41,7 +42,7 @@ STATEMENT: dict[str, Any] = {
         {"effect": "rate_limit", "where": "base", "constant": "limit", "size": None, "unit": "m/s/s"}]},
     "rounds": [{"threshold_nats": 11.4, "p_value": 0.002, "accepted": "reach_limit.horizontal on ee",
                 "candidates": [{"effect": "reach_limit.horizontal", "where": "ee", "gain_nats": 164.2}]}],
-    "notes": ["Could not test rate_limit on base."],
+    "notes": ["Could not test rate limit on base."],
 }  # fmt: skip
 HEAT = {"outputs": ["ee_vx"], "regimes": ["reach > 0.9 m"], "values": [[0.3]], "top": 0.5}
 LAW = {"effect": "reach_limit", "form": "", "where": "ee", "title": "Law", "caption": "A line", "svg": b"<svg/>"}
@@ -107,6 +108,16 @@ def test_a_hostile_channel_name_is_read_as_it_is() -> None:
     assert Outline(html).words.count(hostile) == 3  # list, statement, card
 
 
+@pytest.mark.parametrize("share", [k / 20 for k in range(21)])
+def test_numbers_on_colours_have_enough_contrast(share: float) -> None:
+    def luminance(colour: str) -> float:
+        red, green, blue = ((c / 255) ** 2.2 for c in bytes.fromhex(colour[1:]))
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+    low, high = sorted((luminance(marks.shade(share)), luminance(marks.ink(share).ljust(7, marks.ink(share)[1]))))
+    assert (high + 0.05) / (low + 0.05) > 4.4
+
+
 def test_nothing_in_the_package_switches_escaping_off() -> None:
     for path in filter(Path.is_file, PAGE.iterdir()):
         assert not re.search(r"Markup|\|\s*safe|autoescape\s+false", path.read_text()), path
@@ -140,6 +151,32 @@ def test_an_effect_has_one_name() -> None:
     assert "reach_limit" not in words
     assert "rate_limit" not in words
     assert "reach limit (horizontal) on ee accepted" in words
+
+
+def test_a_round_that_tries_an_accepted_effect_again_is_a_retest() -> None:
+    (search,) = STATEMENT["rounds"]
+    again = search | {"accepted": None}
+    other = again | {"candidates": [{"effect": "rate_limit", "where": "ee", "gain_nats": 9.0}]}
+    words = Outline(page(STATEMENT | {"rounds": [search, other, again]}, Figures())).words
+    assert "Round 2: nothing accepted" in words
+    assert "Round 3: re-test of reach limit (horizontal) on ee, accepted before" in words
+
+
+def test_what_noise_alone_gains_has_no_threshold_and_every_candidate_one_bar() -> None:
+    candidates = [{"effect": "gain", "where": "ee", "gain_nats": g} for g in (9.0, 8.0)]
+    last = {"threshold_nats": 5.0, "p_value": 0.3, "accepted": None, "candidates": candidates}
+    (shown,) = tried({"rounds": [last]})["rounds"]
+    assert (shown["threshold"], len(shown["rows"])) == ("", 1)
+    (passed,) = tried({"rounds": [last | {"p_value": 0.001}]})["rounds"]
+    assert 50 < float(passed["threshold"]) < 60
+
+
+@pytest.mark.parametrize(("after", "words"), [(0.2, "Yes: held-out error falls from 50.0 % to 20.0 %"),
+                                              (0.7, "No: held-out error does not fall")])  # fmt: skip
+def test_the_first_screen_says_whether_the_effects_help(after: float, words: str) -> None:
+    models = STATEMENT["fit"]["models"] | {"augmented": {"error_50": {"value": after, "ci95": None}}}
+    said = Outline(page(STATEMENT | {"fit": STATEMENT["fit"] | {"models": models}}, Figures())).words
+    assert words in said[: said.index("Where is the mismatch?")]
 
 
 @pytest.mark.parametrize("verdict", wording.VERDICTS)

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
-from simgap.effects.command_path import fading_of
+from simgap.effects.command_filters import fading_of
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Acting, Regime, everywhere, features
 from simgap.recordings import decode_state, encode_state

@@ -1,0 +1,77 @@
+"""Fits of an engine, whose tables hold near the point where they were made: they are made anew where a fit leads."""
+
+import numpy as np
+
+from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference.model import SETTLED, Model, Tried
+from simgap.diagnosis.likelihood.directions import bounds_of
+from simgap.diagnosis.likelihood.linearised import tabulated
+from simgap.diagnosis.likelihood.problem import NEAR, Fit, Problem, evaluate, value_of, with_value
+from simgap.engines import is_engine
+
+SIZES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+"""Shares of an effect's constants that are tried on an engine itself."""
+RENEWALS = 4
+"""How often tables are made anew for one fit, at most."""
+
+
+def relinearised(problem: Problem, fit: Fit, reach: float = NEAR) -> tuple[Problem, Fit]:
+    """The fit carried on, with tables made anew where it leads, until it stays there; as it is without an engine.
+
+    reach: how far the parameters may go with one table.
+    """
+    if not is_engine(problem.augmented.simulator):
+        return problem, fit
+    for _ in range(RENEWALS):
+        chunks = tabulated(problem, fit.v, problem.chunks)
+        problem = problem._replace(chunks=chunks, near=np.asarray(fit.v.phi), reach=reach)
+        begun = evaluate(problem, fit.v, fit.groups)
+        if not np.isfinite(begun.loglik):
+            return problem, begun
+        fit, _ = optimise(problem, begun)
+        if fit.loglik - begun.loglik < SETTLED:
+            break
+    return problem, fit
+
+
+def standing(problem: Problem) -> Problem:
+    """With the parameters held where an engine was tabulated; as it is without an engine."""
+    return problem._replace(reach=0.0) if is_engine(problem.augmented.simulator) else problem
+
+
+def carried_on(problem: Problem, tried: Tried, without: Fit) -> tuple[Problem, Tried]:
+    """A hypothesis with tables of its own, and its gain over the model without it."""
+    if not is_engine(problem.augmented.simulator):
+        return problem, tried
+    fit = tried.fit
+    if tried.candidate.effect.place == "engine":
+        # First with the parameters held: they would make up for a size that is not found yet, and stay there.
+        problem, fit = relinearised(problem, _sized(problem, tried), reach=0.0)
+    problem, fit = relinearised(problem, fit)
+    return problem, Tried.of(tried.candidate, fit, without, tried.expected)
+
+
+def _sized(problem: Problem, tried: Tried) -> Fit:
+    """The fit with the constants of an engine's own effect at the share of them that the engine itself likes best.
+
+    A limit is far from linear: tables that know it at one size lead to another that is far too tight or too loose.
+    """
+    engine, groups = itself(problem), tried.candidate.groups
+    fits = []
+    for share in SIZES:
+        v = tried.fit.v
+        for group in groups:
+            low, high = bounds_of(problem, v, group)
+            v = with_value(v, group, float(np.clip(share * value_of(v, group), low, high)))
+        fits.append(tried.fit._replace(v=v, loglik=evaluate(engine, v, tried.fit.groups, tried.fit.noise).loglik))
+    return max(fits, key=lambda fit: np.nan_to_num(fit.loglik, nan=-np.inf))
+
+
+def itself(problem: Problem) -> Problem:
+    """The problem with an engine itself in the place of its tables."""
+    return problem._replace(chunks=problem.chunks._replace(table=None))
+
+
+def fitted(problem: Problem, fit: Fit) -> Model:
+    """A model with the fit and what it is fitted by."""
+    return Model(problem, *optimise(problem, fit))

@@ -1,0 +1,100 @@
+"""The next state of a simulator: a function of JAX's, or an engine, as tabulated or itself.
+
+The one place where these differ: pushes enter the commands and velocities of the one, and are forces on the other.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from simgap.effects.augmented import Active, Augmented, Theta
+from simgap.engines import Engine, Table, is_engine
+from simgap.kinematics import push
+from simgap.layout import Layout
+
+
+def parts_of(augmented: Augmented) -> int | None:
+    """Parts of a row in which commands may differ; None where a row has one command."""
+    return augmented.simulator.parts if is_engine(augmented.simulator) else None
+
+
+def terms_of(augmented: Augmented, theta: Theta, active: Active = None) -> Float[Array, " k"] | None:
+    """Values of an engine's terms; None where the simulator has none."""
+    if not is_engine(augmented.simulator):
+        return None
+    nil = jnp.zeros(len(augmented.simulator.terms))
+    return sum((law(nil) for law in augmented.laws(theta, active, "engine")), nil)
+
+
+class Given(NamedTuple):
+    """What a step depends on besides the state: parameters, the command that acts (for an engine in the parts of the
+    row), and of an engine what it does near by, where it is tabulated, and the values of its terms."""
+
+    phi: Float[Array, " p"]
+    command: Float[Array, "... u"]
+    table: Table | None
+    terms: Float[Array, " k"] | None
+
+
+def next_state(augmented: Augmented, state: Float[Array, " s"], given: Given) -> Float[Array, " s"]:
+    """The next state where nothing pushes."""
+    if not is_engine(augmented.simulator):
+        return augmented.simulator.step(given.phi, state, given.command)
+    return _engine(augmented.simulator, state, given, jnp.zeros(len(efforts(augmented.layout))))
+
+
+def pushed_state(
+    augmented: Augmented,
+    state: Float[Array, " s"],
+    given: Given,
+    heading: Float[Array, " b"],
+    delta: Float[Array, "b 4"],
+) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
+    """The next state with a push on each body, in its own frame, and its part that is a position's rate [1/step]."""
+    if is_engine(augmented.simulator):
+        where = efforts(augmented.layout)
+        effort = jnp.stack([delta[b, a] for b, a in where]) if where else jnp.zeros(0)
+        then = _engine(augmented.simulator, state, given, effort)
+        return then, jnp.zeros_like(then)
+    du, dv, dp = push(augmented.layout, heading, delta)
+    return augmented.simulator.step(given.phi, state, given.command + du) + dv, dp
+
+
+def efforts(layout: Layout) -> list[tuple[int, int]]:
+    """Body and axis of every velocity that an engine can push, in the order of the states."""
+    fields = layout.schema.state
+    places = (np.argwhere(layout.velocity == i)[0] for i, f in enumerate(fields) if f.effort)
+    return [(int(b), int(a)) for b, a in places]
+
+
+def _engine(engine: Engine, state: Float[Array, " s"], given: Given, effort: Float[Array, " a"]) -> Float[Array, " s"]:
+    phi, command, table, terms = given
+    assert terms is not None  # an engine has terms, if only none of them
+    if table is not None:
+        return (
+            jnp.asarray(table.then)
+            + (state - table.state) @ table.by_state
+            + (command - table.command).ravel() @ table.by_command
+            + phi @ table.by_phi
+            + effort @ table.by_effort
+            + terms @ table.by_term
+            + terms**2 @ table.by_term_squared
+        )
+    shape = jax.ShapeDtypeStruct(state.shape, state.dtype)
+    return jax.pure_callback(
+        partial(_rows, engine), shape, phi, terms, state, command, effort, vmap_method="expand_dims"
+    )
+
+
+def _rows(engine: Engine, *given: np.ndarray) -> np.ndarray:
+    """The engine's rows; what is the same for all is given once, along an axis of length one."""
+    phi, *batched = (np.asarray(a, np.float64) for a in given)
+    if batched[1].ndim == 1:
+        return engine.rows(phi, *(a[None] for a in batched))[0].astype(np.float32)
+    count = max(len(a) for a in batched)
+    rows = (np.broadcast_to(a, (count, *a.shape[1:])) for a in batched)
+    return engine.rows(phi.reshape(-1, phi.shape[-1])[0], *rows).astype(np.float32)

@@ -1,0 +1,103 @@
+"""Robots given as a model file, an MJCF or a URDF, which MuJoCo steps.
+
+Cheap to import, as `names` is: a wrong file name is reported before JAX is loaded.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from simgap.formats.column_names import listed, nearest
+from simgap.types import ConfigError, Schema, SimgapError
+
+if TYPE_CHECKING:
+    from simgap.engines import Engine
+    from simgap.formats.peek import Seen
+
+SUFFIXES = (".xml", ".mjcf", ".urdf")
+"""What the name of a model file may end in, in upper or lower case."""
+PerJoint = float | Mapping[str, float] | None
+"""A value for all joints, or for some by name."""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A robot's MJCF or URDF as the simulator, with the position servos of joints that have no actuator in it.
+
+    kp: stiffness [N m/rad, N/m]. kv: damping by the servo [N m s/rad, N s/m]. force_limit: the most it can do [N m, N].
+    Each is of all these joints, or of some by name.
+    """
+
+    path: str | Path
+    kp: PerJoint = None
+    kv: PerJoint = None
+    force_limit: PerJoint = None
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def check(self) -> None:
+        """ConfigError where there is no such file, or MuJoCo is not installed."""
+        if not Path(self.path).is_file():
+            raise ConfigError(f"{self.path}: there is no such file. Give the path of the robot's MJCF or URDF.")
+        if importlib.util.find_spec("mujoco") is None:
+            raise ConfigError(f"{self.path}: to step a model, MuJoCo must be installed: pip install 'simgap[mujoco]'.")
+
+    def engine(self, seen: Seen) -> Engine:
+        """What steps the model, for recordings with these columns and this interval.
+
+        Raises SimgapError where the model cannot be read, ConfigError where no column is of a joint of it.
+        """
+        self.check()
+        from simgap.simulators.mujoco import Servos, load
+
+        servos = Servos(self.kp, self.kv, self.force_limit)
+        try:
+            return cast("Engine", load(Path(self.path), seen.time_step, seen.columns, servos))
+        except SimgapError:
+            known = self.columns(seen.time_step)  # raises where the model is wrong
+            raise ConfigError(
+                f"{self.path}: no joint of the model is recorded. It takes the columns {listed(known)}, of which the "
+                f"positions of some joints must be there; the recordings have {listed(seen.columns)}"
+                f"{nearest(seen.columns, known)}. Rename the columns, or convert the recordings with a mapping: simgap "
+                "import (docs/how_to/mujoco.md)."
+            ) from None
+
+    def columns(self, time_step: float) -> tuple[str, ...]:
+        """All columns that recordings of the model could have, `time_s` first; SimgapError where it cannot be read."""
+        return self.described(time_step)[0].columns
+
+    def described(self, time_step: float) -> tuple[Schema, dict[str, tuple[float, float]]]:
+        """The schema of recordings of all that the model has, and the ranges of its joints by name [rad, m]."""
+        self.check()
+        from simgap.simulators.mujoco import Servos, load
+        from simgap.simulators.mujoco.machine import ranges
+
+        engine = load(Path(self.path), time_step, None, Servos(self.kp, self.kv, self.force_limit))
+        return engine.schema, ranges(engine.model, engine.machine)
+
+    def remembered(self, seen: Seen) -> dict[str, Any]:
+        """What `diagnosis.json` keeps of it, as `recalled` reads it."""
+        return {**asdict(self), "path": str(Path(self.path).resolve()), **seen._asdict(), "servo_share": 1.0}
+
+
+def recalled(kept: Mapping[str, Any]) -> Engine:
+    """The engine that `ModelFile.remembered` is of; ConfigError where its file is no longer there."""
+    from simgap.formats.peek import Seen
+
+    options = {name: kept[name] for name in ("path", "kp", "kv", "force_limit")}
+    engine = ModelFile(**options).engine(Seen(tuple(kept["columns"]), kept["time_step"]))
+    if kept["servo_share"] == 1:
+        return engine
+    from simgap.simulators.mujoco import rescaled
+
+    return cast("Engine", rescaled(cast(Any, engine), kept["servo_share"]))
+
+
+def named(spec: str) -> str | ModelFile:
+    """What a text names: a model file, or else a simulator by its name in Python."""
+    return ModelFile(spec) if Path(spec).suffix.lower() in SUFFIXES else spec

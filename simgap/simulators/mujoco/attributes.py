@@ -1,0 +1,136 @@
+"""The numbers of a model that a diagnosis changes, in the compiled model and in its XML alike.
+
+An attribute that the model sets is a parameter, the logarithm of the share of the model's value. One that it leaves at
+zero is a term, which adds to it.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names are native, and unknown to type checkers.
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from simgap.simulators.mujoco.machine import AFFINE, Actuator, Joint, Machine, acts_on, count
+from simgap.simulators.mujoco.payloads import PREFIX
+from simgap.types import Parameter
+
+WIDEST = float(np.log(3.0))
+"""A parameter may be a third of its nominal value to three times it."""
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One number: `array[index]` in a compiled model; in XML, `attribute` of the element of that kind and name.
+
+    component: its place in an attribute that is a list.
+    """
+
+    array: str
+    index: tuple[int, ...]
+    element: str
+    name: str
+    attribute: str
+    component: int | None = None
+
+    def value(self, model: mujoco.MjModel) -> float:
+        """Its value in a compiled model."""
+        return float(getattr(model, self.array)[self.index])
+
+    def write(self, spec: mujoco.MjSpec, value: float) -> None:
+        """Set it in a model that is not compiled, to nine digits."""
+        value = float(f"{value:.9g}")
+        element = getattr(spec, self.element)(self.name)
+        held = getattr(element, self.attribute)
+        if self.component is None and np.ndim(held) == 0:
+            setattr(element, self.attribute, value)
+        else:  # since MuJoCo 4 dampings and stiffnesses are polynomials, whose first coefficient is meant
+            held[self.component or 0] = value
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A parameter: what `slots` hold is scaled together. of: size, in `unit`, of what a scale of 1 means."""
+
+    name: str
+    unit: str
+    of: float
+    slots: tuple[Slot, ...]
+
+    def parameter(self, nominal: float) -> Parameter:
+        """As the search knows it: the logarithm of the scale."""
+        return Parameter(self.name, "-", nominal - WIDEST, nominal + WIDEST, nominal)
+
+    def words(self, phi: float) -> str:
+        """The fitted value beside the model's: `kp shoulder_pan: 998 -> 12.1 N m/rad`."""
+        return f"{self.name}: {self.of:.3g} -> {self.of * np.exp(phi):.3g} {self.unit}"
+
+
+def parameters(model: mujoco.MjModel, machine: Machine) -> tuple[Scaled, ...]:
+    """What the model sets of its actuators and joints; masses and geometry are taken as they are."""
+    found = [gain for a in machine.actuators if (gain := _gain(model, a)) is not None]
+    for kind in ("damping", "frictionloss", "armature", "stiffness"):
+        for joint in machine.joints:
+            slots = joint_slots(model, joint, kind)
+            size = sum(abs(s.value(model)) for s in slots)
+            if size:
+                found.append(Scaled(f"{kind} {joint.name}", unit(joint, kind), size, slots))
+    carried = float(model.body_gravcomp.max(initial=0.0))
+    if carried:
+        found.append(Scaled("gravcomp", "", carried, gravcomp_slots(model)))
+    return tuple(found)
+
+
+def unit(joint: Joint, kind: str) -> str:
+    """Unit of a joint's attribute."""
+    damping, stiffness, inertia = ("N m s/rad", "N m/rad", "kg m^2") if joint.hinge else ("N s/m", "N/m", "kg")
+    return {"damping": damping, "frictionloss": joint.effort, "armature": inertia, "stiffness": stiffness}[kind]
+
+
+def joint_slots(model: mujoco.MjModel, joint: Joint, kind: str) -> tuple[Slot, ...]:
+    """What makes up an attribute of a joint: its own, and what the actuators at it add to that.
+
+    The damping by a position servo (kv) is the joint's damping by another name.
+    """
+    array, index = ("jnt_stiffness", joint.index) if kind == "stiffness" else (f"dof_{kind}", joint.dof)
+    slots = [Slot(array, (index,), "joint", joint.name, kind)]
+    for a in range(count(model)):
+        if acts_on(model, a) != joint.index:
+            continue
+        name = model.actuator(a).name
+        if kind == "damping" and _is_servo(model, a) and model.actuator_biasprm[a, 2]:
+            slots.append(Slot("actuator_biasprm", (a, 2), "actuator", name, "biasprm", 2))
+        own = getattr(model, f"actuator_{kind}", None)  # since MuJoCo 4
+        if own is not None and kind in ("damping", "armature") and own[a]:
+            slots.append(Slot(f"actuator_{kind}", (a,), "actuator", name, kind))
+    return tuple(slots)
+
+
+def gravcomp_slots(model: mujoco.MjModel) -> tuple[Slot, ...]:
+    """Gravity compensation of every body that moves, loads that are added excepted."""
+    names = {b: model.body(b).name for b in range(1, model.nbody) if model.body_weldid[b]}
+    names = {b: name for b, name in names.items() if not name.startswith(PREFIX)}
+    return tuple(Slot("body_gravcomp", (b,), "body", name, "gravcomp") for b, name in names.items())
+
+
+def _gain(model: mujoco.MjModel, actuator: Actuator) -> Scaled | None:
+    """The stiffness of a position servo, or the gain of a velocity servo; a motor has none of its own."""
+    a, joint = actuator.index, actuator.joint
+    if model.actuator_biastype[a] != AFFINE:
+        return None
+    servo = _is_servo(model, a)
+    bias = 1 if servo else 2
+    slots = [
+        Slot("actuator_gainprm", (a, 0), "actuator", actuator.name, "gainprm", 0),
+        Slot("actuator_biasprm", (a, bias), "actuator", actuator.name, "biasprm", bias),
+    ]
+    slots = [s for s in slots if s.value(model)]
+    if not slots or (not servo and actuator.kind != "velocity"):
+        return None
+    kind = "stiffness" if servo else "damping"
+    label, words = ("kp" if servo else "kv"), unit(joint, kind) if joint else "-"
+    return Scaled(f"{label} {actuator.name}", words, abs(slots[-1].value(model)), tuple(slots))
+
+
+def _is_servo(model: mujoco.MjModel, a: int) -> bool:
+    return bool(model.actuator_biastype[a] == AFFINE and model.actuator_biasprm[a, 1])

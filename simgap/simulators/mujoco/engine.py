@@ -1,0 +1,250 @@
+"""A MuJoCo model as the simulator of a diagnosis: many rows at once, parameters as shares, terms that switch on."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names are native, and unknown to type checkers.
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from mujoco import rollout
+
+from simgap.engines import Term
+from simgap.simulators.mujoco.attributes import Scaled
+from simgap.simulators.mujoco.machine import Machine
+from simgap.simulators.mujoco.reading import Source
+from simgap.simulators.mujoco.terms import Added, Limited, Switch
+from simgap.types import Parameter, Schema
+
+HELD = 1e10
+"""Armature of a joint that is held still: no torque moves it."""
+CHUNK = 2048
+"""Rows that are stepped at a time; all their substeps are in memory."""
+_FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+_INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+
+
+@dataclass(frozen=True)
+class _Worker:
+    """What one thread at a time steps with: a model that it changes, and MuJoCo's working memory."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    roll: rollout.Rollout
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoEngine:
+    """A model that a diagnosis can step, as an `Engine`.
+
+    source: the model as it was read. model: compiled, with a body without mass for each payload, never changed.
+    time_step: nominal interval between rows [s]. steps: the engine's own in a row. parts: of a row in which commands
+    may differ. scaled, switches: what the parameters and the terms change. nominal: the parameters that a search begins
+    with, zero for the model as it stands.
+    """
+
+    source: Source
+    model: mujoco.MjModel
+    machine: Machine
+    time_step: float
+    steps: int
+    parts: int
+    scaled: tuple[Scaled, ...]
+    switches: tuple[Switch, ...]
+    nominal: Float[np.ndarray, " p"]
+
+    @cached_property
+    def schema(self) -> Schema:
+        """The columns of its recordings, and the states that these lack."""
+        return self.machine.schema
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the model sets, as logarithms of the share of the model's value."""
+        return tuple(s.parameter(float(value)) for s, value in zip(self.scaled, self.nominal, strict=True))
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """What the model leaves at zero."""
+        return tuple(s.term for s in self.switches)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the model is left out or cannot be diagnosed, in words."""
+        return (*self.source.notes, *self.machine.notes)
+
+    def words(self, phi: Float[np.ndarray, " p"]) -> list[str]:
+        """Fitted parameters beside the model's, in physical units."""
+        return [s.words(float(value)) for s, value in zip(self.scaled, phi, strict=True)]
+
+    def rows(
+        self,
+        phi: Float[np.ndarray, " p"],
+        terms: Float[np.ndarray, "n k"],
+        state: Float[np.ndarray, "n s"],
+        command: Float[np.ndarray, "n parts u"],
+        effort: Float[np.ndarray, "n a"],
+    ) -> Float[np.ndarray, "n s"]:
+        """The next states; see `Engine`. Rows of one value of the terms are stepped together."""
+        state = np.asarray(state, float)
+        command = np.repeat(np.asarray(command, float), self.steps // self.parts, axis=1)
+        terms, effort = np.asarray(terms, float), np.asarray(effort, float)
+        after = np.empty_like(state)
+        kinds, kind = np.unique(terms, axis=0, return_inverse=True)
+        with self._worker() as worker:
+            for k, values in enumerate(kinds):
+                self._apply(worker.model, worker.data, np.asarray(phi, float), values)
+                at = np.flatnonzero(kind.ravel() == k)
+                for rows in np.split(at, range(CHUNK, len(at), CHUNK)):
+                    ends = self._roll(worker, state[rows], command[rows], effort[rows], self.steps)
+                    after[rows] = ends[:, 0]
+        return after
+
+    def path(
+        self,
+        phi: Float[np.ndarray, " p"],
+        terms: Float[np.ndarray, " k"],
+        start: Float[np.ndarray, " s"],
+        command: Float[np.ndarray, "T u"],
+    ) -> Float[np.ndarray, "T s"]:
+        """The states in open loop, the start first; commands are held for a row, and the last does nothing."""
+        held = np.repeat(np.asarray(command, float)[:-1], self.steps, axis=0)
+        none = np.zeros((1, len(self.machine.joints)))
+        with self._worker() as worker:
+            self._apply(worker.model, worker.data, np.asarray(phi, float), np.asarray(terms, float))
+            states = self._roll(worker, np.asarray(start, float)[None], held[None], none, self.steps)[0]
+        return np.vstack([start, states])
+
+    def compiled(self, phi: Float[np.ndarray, " p"], terms: Float[np.ndarray, " k"]) -> mujoco.MjModel:
+        """A model of the caller's own with these parameters and terms."""
+        model = copy.copy(self.model)
+        self._apply(model, mujoco.MjData(model), np.asarray(phi, float), np.asarray(terms, float))
+        return model
+
+    @cached_property
+    def _idle(self) -> list[_Worker]:
+        """Those that no thread steps with. They are no thread's own: a callback's thread ends with each call of it."""
+        return []
+
+    @contextmanager
+    def _worker(self) -> Iterator[_Worker]:
+        """One for this thread alone, as long as it is needed."""
+        try:
+            worker = self._idle.pop()
+        except IndexError:
+            model = copy.copy(self.model)
+            worker = _Worker(model, mujoco.MjData(model), rollout.Rollout(nthread=0))
+        try:
+            yield worker
+        finally:
+            self._idle.append(worker)
+
+    def _apply(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        phi: Float[np.ndarray, " p"],
+        terms: Float[np.ndarray, " k"],
+    ) -> None:
+        """Make a copy of the model that of these parameters and terms, whatever it was of before."""
+        for name in self._arrays:
+            getattr(model, name)[:] = getattr(self.model, name)
+        for scaled, value in zip(self.scaled, phi, strict=True):
+            for slot in scaled.slots:
+                getattr(model, slot.array)[slot.index] *= np.exp(value)
+        for switch, value in zip(self.switches, terms, strict=True):
+            if isinstance(switch, Added):
+                for slot in switch.slots:
+                    getattr(model, slot.array)[slot.index] += value
+            elif value > 0:
+                model.actuator_forcerange[switch.index] = force_range(self.model, switch.index, value)
+                model.actuator_forcelimited[switch.index] = True
+        mujoco.mj_setConst(model, data)  # what MuJoCo derives from masses and armatures
+        model.dof_armature[list(self.machine.held)] += HELD
+
+    @cached_property
+    def _arrays(self) -> tuple[str, ...]:
+        """Names of the arrays that parameters or terms change."""
+        slots = [s for part in (*self.scaled, *self.switches) if not isinstance(part, Limited) for s in part.slots]
+        names = {s.array for s in slots} | {"actuator_forcerange", "actuator_forcelimited", "dof_armature"}
+        return tuple(sorted(names))
+
+    @cached_property
+    def _rest(self) -> Float[np.ndarray, " full"]:
+        """MuJoCo's whole state at the reference."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.machine.reference
+        full = np.empty(mujoco.mj_stateSize(self.model, _FULL))
+        mujoco.mj_getState(self.model, data, full, _FULL)
+        return full
+
+    @cached_property
+    def _columns(self) -> Float[np.ndarray, " s"]:
+        """Where in MuJoCo's whole state each state of the schema is."""
+        qpos, qvel, act = (self._offset(part) for part in ("QPOS", "QVEL", "ACT"))
+        joints = {j.name: j for j in self.machine.joints}
+        found = []
+        for field in self.schema.state:
+            if field.kind == "position":
+                found.append(qpos + joints[field.body].qpos)
+            elif field.kind == "velocity":
+                found.append(qvel + joints[field.body].dof)
+        return np.array([*found, *(act + a.act for a in self.machine.actuators if a.act is not None)])
+
+    def _offset(self, part: str) -> int:
+        """Where in MuJoCo's whole state a part of it begins: parts come in the order of their bits."""
+        before = int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) - 1
+        return mujoco.mj_stateSize(self.model, _FULL & before)
+
+    @cached_property
+    def _forced(self) -> list[int]:
+        """The degrees of freedom of the velocities with an `effort`, in the order of the states."""
+        joints = {j.name: j for j in self.machine.joints}
+        return [joints[f.body].dof for f in self.schema.state if f.effort]
+
+    def _roll(
+        self,
+        worker: _Worker,
+        state: Float[np.ndarray, "n s"],
+        command: Float[np.ndarray, "n t u"],
+        effort: Float[np.ndarray, "n a"],
+        every: int,
+    ) -> Float[np.ndarray, "n t/every s"]:
+        """The states after each `every` steps; not numbers from where MuJoCo gave up."""
+        full = np.tile(self._rest, (len(state), 1))
+        full[:, self._columns] = state
+        self._follow(full)
+        inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
+        inputs[..., : self.model.nu] = self.machine.controls
+        inputs[..., [a.control for a in self.machine.actuators]] = command
+        inputs[..., [self.model.nu + d for d in self._forced]] = effort[:, None]
+        states = np.empty((*command.shape[:2], full.shape[1]))
+        worker.roll.rollout(worker.model, worker.data, full, inputs, control_spec=_INPUTS, state=states)
+        taken = states[:, every - 1 :: every]
+        # A row that MuJoCo gives up stands still in time, or begins anew at time zero.
+        clock = self._rest[0] + self.model.opt.timestep * np.arange(every, command.shape[1] + 1, every)
+        lost = np.abs(taken[..., 0] - clock) > self.model.opt.timestep / 2
+        return np.where(lost[..., None], np.nan, taken[..., self._columns])
+
+    def _follow(self, full: Float[np.ndarray, "n full"]) -> None:
+        """Put joints that follow others where an equality constraint wants them."""
+        qpos, qvel = self._offset("QPOS"), self._offset("QVEL")
+        for follower in self.machine.followers:
+            leader = self.machine.joints[follower.leader]
+            polynomial = np.polynomial.Polynomial(follower.polynomial)
+            offset = full[:, qpos + leader.qpos] - self.model.qpos0[leader.qpos]
+            full[:, qpos + follower.qpos] = self.model.qpos0[follower.qpos] + polynomial(offset)
+            full[:, qvel + follower.dof] = polynomial.deriv()(offset) * full[:, qvel + leader.dof]
+
+
+def force_range(model: mujoco.MjModel, index: int, reciprocal: float) -> tuple[float, float]:
+    """The range of an actuator's force within its own and a limit, given as one over it."""
+    limit = 1 / reciprocal
+    if not model.actuator_forcelimited[index]:
+        return -limit, limit
+    low, high = model.actuator_forcerange[index]
+    return max(float(low), -limit), min(float(high), limit)

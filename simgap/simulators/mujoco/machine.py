@@ -1,0 +1,245 @@
+"""What of a model can be diagnosed with given columns: its joints, its actuators, and what becomes of the rest."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names are native, and unknown to type checkers.
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from simgap.types import Axis, Field, Kind, Schema, SimgapError
+
+# A model's arrays hold whole numbers, and `x in (enum, ...)` is false for these.
+HINGE, SLIDE, FREE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("HINGE", "SLIDE", "FREE"))
+AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_TIED = int(mujoco.mjtEq.mjEQ_JOINT)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint with one degree of freedom, whose position is recorded. qpos, dof: where it is in MuJoCo's vectors."""
+
+    name: str
+    index: int
+    qpos: int
+    dof: int
+    hinge: bool
+    speed_recorded: bool
+
+    @property
+    def effort(self) -> str:
+        """Unit of the force along it."""
+        return "N m" if self.hinge else "N"
+
+    @property
+    def unit(self) -> str:
+        """Unit of its position."""
+        return "rad" if self.hinge else "m"
+
+    @property
+    def axis(self) -> Axis:
+        """Its axis in the schema."""
+        return "yaw" if self.hinge else "x"
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """An actuator whose command is recorded. joint: it acts on, if it acts on one. control, act: where they are."""
+
+    name: str
+    index: int
+    control: int
+    act: int | None
+    kind: Kind
+    joint: Joint | None
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A joint that an equality constraint moves with another: its offset from there is a polynomial of the other's."""
+
+    qpos: int
+    dof: int
+    leader: int
+    polynomial: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The part of a model that a diagnosis works on.
+
+    held: degrees of freedom that stand still at the `reference`, a row of positions; `controls`: of actuators whose
+    command is not recorded. notes: what cannot be diagnosed, in words.
+    """
+
+    joints: tuple[Joint, ...]
+    actuators: tuple[Actuator, ...]
+    followers: tuple[Follower, ...]
+    held: tuple[int, ...]
+    reference: Float[np.ndarray, " nq"]
+    controls: Float[np.ndarray, " nu"]
+    notes: tuple[str, ...]
+
+    @property
+    def schema(self) -> Schema:
+        """Positions, recorded velocities, other velocities, states of actuators; and the commands."""
+        position = [Field(f"{j.name}_pos", j.unit, "position", "body", j.name, j.axis) for j in self.joints]
+        velocity = [
+            Field(f"{j.name}_vel", f"{j.unit}/s", "velocity", "body", j.name, j.axis, j.speed_recorded, j.effort)
+            for j in self.joints
+        ]
+        slow = [a.name for a in self.actuators if a.act is not None]
+        hidden = [Field(f"act_{name}", "-", "force", "body", observed=False) for name in slow]
+        velocity.sort(key=lambda f: not f.observed)
+        return Schema((*position, *velocity, *hidden), tuple(_command(a) for a in self.actuators))
+
+
+def count(model: mujoco.MjModel) -> int:
+    """The number of actuators; `nu` is that of controls, of which one may take several since MuJoCo 4."""
+    return len(model.actuator_gainprm)
+
+
+def acts_on(model: mujoco.MjModel, a: int) -> int:
+    """Index of the joint that an actuator acts on, -1 where it acts on something else."""
+    return int(model.actuator_trnid[a, 0]) if model.actuator_trntype[a] in _JOINTS else -1
+
+
+def ranges(model: mujoco.MjModel, machine: Machine) -> dict[str, tuple[float, float]]:
+    """Ends of the range of every joint that has one, by name [rad, m]."""
+    limited = [j for j in machine.joints if model.jnt_limited[j.index]]
+    return {j.name: (float(model.jnt_range[j.index][0]), float(model.jnt_range[j.index][1])) for j in limited}
+
+
+def _command(actuator: Actuator) -> Field:
+    joint = actuator.joint
+    name = f"cmd_{actuator.name}"
+    if joint is None:
+        return Field(name, "-", actuator.kind, "body")
+    unit = {"position": joint.unit, "velocity": f"{joint.unit}/s"}.get(actuator.kind, joint.effort)
+    return Field(name, unit, actuator.kind, "body", joint.name, joint.axis)
+
+
+def machine(model: mujoco.MjModel, columns: Collection[str] | None) -> Machine:
+    """What can be diagnosed with recordings that have these columns; all that the model has, where None is given.
+
+    Raises:
+        SimgapError: no joint is left.
+    """
+    scalar = [j for j in range(model.njnt) if model.jnt_type[j] in (HINGE, SLIDE)]
+    coupled = _couplings(model)
+    names = {j: model.joint(j).name for j in range(model.njnt)}
+    if columns is None:
+        recorded = [j for j in scalar if j not in coupled]
+        columns = {f"{names[j]}_{what}" for j in recorded for what in ("pos", "vel")}
+        columns |= {f"cmd_{model.actuator(a).name}" for a in range(count(model))}
+    recorded = [j for j in scalar if f"{names[j]}_pos" in columns]
+    if not recorded:
+        raise SimgapError(
+            "No joint of the model can be diagnosed: the recordings need a column <joint>_pos for at least one of: "
+            f"{', '.join(names[j] for j in scalar) or '(the model has no hinge or slide joint)'}."
+        )
+    joints = tuple(_joint(model, j, f"{names[j]}_vel" in columns) for j in recorded)
+    follows = {j: f for j, f in coupled.items() if j not in recorded and f[0] in recorded}
+    followers = tuple(
+        Follower(int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]), recorded.index(leader), polynomial)
+        for j, (leader, polynomial) in follows.items()
+    )
+    left = [j for j in range(model.njnt) if j not in recorded and j not in follows]
+    actuators, idle = _actuators(model, {j.index: j for j in joints}, columns)
+    notes = [
+        *(
+            f"the joint {names[j]} follows {names[leader]} by an equality constraint"
+            for j, (leader, _) in follows.items()
+        ),
+        *(_held_note(model, j, names[j]) for j in left),
+        *(f"the control of the actuator {model.actuator(a).name} stays as at the reference: {why}" for a, why in idle),
+        *(f"the delay of the actuator {a.name}, {model.actuator_delay[a.index]:g} s, is left out: one that is found "
+          "includes it" for a in actuators if _delayed(model, a)),
+    ]  # fmt: skip
+    dofs = [int(d) for j in left for d in np.flatnonzero(model.dof_jntid == j)]
+    reference, controls = _reference(model)
+    return Machine(joints, actuators, followers, tuple(dofs), reference, controls, tuple(notes))
+
+
+def _delayed(model: mujoco.MjModel, actuator: Actuator) -> bool:
+    """Whether the model delays an actuator; since MuJoCo 3.5 it can."""
+    return bool(model.actuator_delay[actuator.index])
+
+
+def _joint(model: mujoco.MjModel, j: int, speed: bool) -> Joint:
+    hinge = model.jnt_type[j] == HINGE
+    return Joint(model.joint(j).name, j, int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]), bool(hinge), speed)
+
+
+def _held_note(model: mujoco.MjModel, j: int, name: str) -> str:
+    if model.jnt_type[j] in (HINGE, SLIDE):
+        return f"the joint {name} has no column {name}_pos; it is held still and not diagnosed"
+    kind = "free" if model.jnt_type[j] == FREE else "ball"
+    return f"the {kind} joint {name} is held still and not diagnosed"
+
+
+def _couplings(model: mujoco.MjModel) -> dict[int, tuple[int, tuple[float, ...]]]:
+    """For joints that an equality constraint ties to another: the other, and the polynomial of its offset."""
+    found: dict[int, tuple[int, tuple[float, ...]]] = {}
+    for e in np.flatnonzero((model.eq_type == _TIED) & (model.eq_active0 != 0)):
+        one, other = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        if other >= 0:
+            found[one] = (other, tuple(map(float, model.eq_data[e, :5])))
+    return found
+
+
+def _actuators(
+    model: mujoco.MjModel, joints: dict[int, Joint], columns: Collection[str]
+) -> tuple[tuple[Actuator, ...], list[tuple[int, str]]]:
+    """Actuators with a command column; and those without, and why."""
+    found: list[Actuator] = []
+    idle: list[tuple[int, str]] = []
+    for a in range(count(model)):
+        name = model.actuator(a).name
+        at = acts_on(model, a)
+        joint = joints.get(at)
+        first, controls = _controls(model, a)
+        if f"cmd_{name}" not in columns:
+            idle.append((a, f"there is no column cmd_{name}"))
+        elif at >= 0 and joint is None:
+            idle.append((a, "the position of its joint is not recorded"))
+        elif controls != 1:
+            idle.append((a, f"it takes {controls} controls"))
+        else:
+            act = int(model.actuator_actadr[a])
+            found.append(Actuator(name, a, first, act if act >= 0 else None, _kind(model, a), joint))
+    return tuple(found), idle
+
+
+def _controls(model: mujoco.MjModel, a: int) -> tuple[int, int]:
+    """Index of the first control of an actuator, and how many it takes; before MuJoCo 4 each takes one."""
+    if hasattr(model, "actuator_ctrladr"):
+        return int(model.actuator_ctrladr[a]), int(model.actuator_ctrlnum[a])
+    return a, 1
+
+
+def _kind(model: mujoco.MjModel, a: int) -> Kind:
+    """What an actuator is commanded in, by the law of its force: gain * command + b1 * length + b2 * velocity."""
+    if model.actuator_biastype[a] != AFFINE:
+        return "force"
+    stiff, damped = model.actuator_biasprm[a, 1:3]
+    if stiff:
+        return "velocity" if model.actuator_dyntype[a] == _INTEGRATOR else "position"
+    return "velocity" if damped and np.isclose(model.actuator_gainprm[a, 0], -damped) else "force"
+
+
+def _reference(model: mujoco.MjModel) -> tuple[Float[np.ndarray, " nq"], Float[np.ndarray, " nu"]]:
+    """Positions and controls of the first keyframe; without one the model's own positions, servos at rest there."""
+    if model.nkey:
+        return model.key_qpos[0].copy(), model.key_ctrl[0].copy()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    controls = np.zeros(model.nu)
+    for a in range(count(model)):
+        if _kind(model, a) == "position":
+            controls[_controls(model, a)[0]] = data.actuator_length[a]
+    return model.qpos0.copy(), controls

@@ -1,0 +1,169 @@
+"""Reads an MJCF or URDF as people have it: names what has no name, does without files that only a picture needs."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names are native, and unknown to type checkers.
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import mujoco
+
+from simgap.types import SimgapError
+
+INERTIA_FROM_GEOM = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
+"""The compiler's option by which geoms count although a body has an inertial element."""
+PerJoint = float | Mapping[str, float] | None
+"""A value for all joints, or for some by name."""
+
+
+@dataclass(frozen=True)
+class Servos:
+    """Position servos for joints without an actuator, as a URDF has them: of all joints, or of some by name.
+
+    kp: stiffness [N m/rad, N/m]. kv: damping by the servo [N m s/rad, N s/m]. force_limit: [N m, N].
+    """
+
+    kp: PerJoint = None
+    kv: PerJoint = None
+    force_limit: PerJoint = None
+
+    def of(self, option: str, joint: str) -> float | None:
+        """The value of an option at a joint."""
+        values = getattr(self, option)
+        return values.get(joint) if isinstance(values, Mapping) else values
+
+
+NO_SERVOS = Servos()
+
+
+@dataclass(frozen=True)
+class Source:
+    """A model before it is compiled; every body, joint and actuator has a name. notes: what was left out, in words."""
+
+    spec: mujoco.MjSpec
+    notes: tuple[str, ...]
+
+
+def read(model: str | Path | mujoco.MjSpec, servos: Servos) -> Source:
+    """Read a model from a file, or copy one that is read.
+
+    Raises:
+        SimgapError: it cannot be read or compiled, or a servo is for a joint that it lacks or that has an actuator.
+    """
+    spec = model.copy() if isinstance(model, mujoco.MjSpec) else _from_file(Path(model))
+    spec.compiler.fusestatic = False  # a URDF is read with its fixed links fused, which takes their names away
+    _name(spec)
+    notes = _drop_missing_files(spec)
+    _add_servos(spec, servos)
+    compiled(spec)
+    return Source(spec, tuple(notes))
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The model, ready to be stepped."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise SimgapError(f"MuJoCo cannot compile the model: {_one_line(error)}") from error
+
+
+def _from_file(path: Path) -> mujoco.MjSpec:
+    if not path.is_file():
+        raise SimgapError(f"{path}: there is no such file; expected an MJCF or URDF model.")
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise SimgapError(f"{path}: MuJoCo cannot read this as MJCF or URDF: {_one_line(error)}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).removeprefix("Error: ").split())
+
+
+def _name(spec: mujoco.MjSpec) -> None:
+    """Names for what has none, so that columns and changes can refer to it: an actuator is named after its joint."""
+    for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints), ("actuator", spec.actuators)):
+        taken = {e.name for e in elements}
+        for index, element in enumerate(elements):
+            if not element.name:
+                wanted = element.target if kind == "actuator" and element.target not in taken else f"{kind}{index}"
+                while wanted in taken:
+                    wanted += "_"
+                element.name = wanted
+                taken.add(wanted)
+
+
+def _drop_missing_files(spec: mujoco.MjSpec) -> list[str]:
+    """Remove pictures and meshes whose file is missing, where no mass depends on them; returns notes."""
+    notes: list[str] = []
+    while True:
+        try:
+            spec.compile()
+            return notes
+        except ValueError as error:
+            found = re.search(r"(?:opening|resource|file) '([^']+)'", _one_line(error))
+            if found is None:
+                raise SimgapError(f"MuJoCo cannot compile the model: {_one_line(error)}") from error
+            name = Path(found.group(1)).name
+            if not (_drop_mesh(spec, name) or _drop_texture(spec, name)):
+                raise SimgapError(f"The model needs the file {found.group(1)}, which is missing.") from error
+            notes.append(f"the file {found.group(1)} is missing; the model is used without it")
+
+
+def _drop_mesh(spec: mujoco.MjSpec, file: str) -> bool:
+    meshes = [m for m in spec.meshes if Path(m.file).name == file]
+    for mesh in meshes:
+        for geom in [g for g in spec.geoms if g.meshname == mesh.name]:
+            if _weighs(spec, geom):
+                raise SimgapError(
+                    f"The mesh file {file} is missing, and the mass of the body {geom.parent.name} is computed from "
+                    "it. Put the file in its place, or give the body an inertial element."
+                )
+            spec.delete(geom)
+        spec.delete(mesh)
+    return bool(meshes)
+
+
+def _weighs(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+    """Whether the mass or inertia of a geom's body is computed from it."""
+    first, last = spec.compiler.inertiagrouprange
+    given = geom.parent.explicitinertial and int(spec.compiler.inertiafromgeom) != INERTIA_FROM_GEOM
+    return not given and first <= geom.group <= last and geom.mass != 0 and geom.density != 0
+
+
+def _drop_texture(spec: mujoco.MjSpec, file: str) -> bool:
+    textures = [t for t in spec.textures if file in {Path(f).name for f in (t.file, *t.cubefiles)}]
+    for texture in textures:
+        for material in spec.materials:
+            for i, name in enumerate(material.textures):
+                if name == texture.name:
+                    material.textures[i] = ""
+        spec.delete(texture)
+    return bool(textures)
+
+
+def _add_servos(spec: mujoco.MjSpec, servos: Servos) -> None:
+    driven = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
+    free = [j for j in spec.joints if j.name not in driven and _scalar(j)]
+    names = {j.name for j in free}
+    for option in (f.name for f in fields(Servos)):
+        values = getattr(servos, option)
+        for name in values if isinstance(values, Mapping) else ():
+            if name not in names:
+                raise SimgapError(
+                    f"{option}: no joint {name} without an actuator; there are: {', '.join(sorted(names))}."
+                )
+    for joint in free:
+        kp = servos.of("kp", joint.name)
+        if kp is None:
+            continue
+        actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=kp, kv=servos.of("kv", joint.name) or 0.0)
+        limit = servos.of("force_limit", joint.name)
+        if limit is not None:
+            actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
+
+
+def _scalar(joint: mujoco.MjsJoint) -> bool:
+    return joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)

@@ -1,0 +1,112 @@
+"""Tables of an engine along an estimated motion: next states, and their derivatives by differences.
+
+Once per row the engine is asked what it does there; a search then runs on the tables, thousands of times.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.engines import Engine, Table
+
+STEP = 1e-3
+"""Of the usual spread of a state or a command: the step of its differences, in double precision."""
+LOG_STEP = 1e-2
+"""Step of a parameter, which is a logarithm."""
+EFFORT = 1e-3
+"""Step of an effort [N m or N]; engines are linear in efforts but where contacts or limits stop them."""
+LEAST = 1e-6
+"""Least step of a state or a command, where it does not vary."""
+
+
+class Points(NamedTuple):
+    """Where an engine is tabulated: parameters, and rows with values of the terms, states and commands."""
+
+    phi: Float[np.ndarray, " p"]
+    terms: Float[np.ndarray, "n k"]
+    state: Float[np.ndarray, "n s"]
+    command: Float[np.ndarray, "n parts u"]
+
+
+def tabulate(engine: Engine, points: Points) -> Table:
+    """The engine near these points, in single precision. Where it leaves the finite numbers the table holds zeros: the
+    row is then taken to stay where it is."""
+    points = Points(*(np.asarray(a, np.float64) for a in points))
+    phi, terms, state, command = points
+    nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
+    then = engine.rows(phi, terms, state, command, nil)
+    spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
+
+    def along(change: Callable[[float], Points], step: float) -> Float[np.ndarray, "n s"]:
+        up, down = (engine.rows(*change(d), nil) for d in (step, -step))
+        return (up - down) / (2 * step)
+
+    by_state = [along(lambda d, i=i: points._replace(state=_moved(state, i, d)), h) for i, h in enumerate(spread[0])]
+    by_command = [
+        along(lambda d, j=j, i=i: points._replace(command=_moved(command, (j, i), d)), h)
+        for j in range(engine.parts)
+        for i, h in enumerate(spread[1])
+    ]
+    by_phi = [along(lambda d, i=i: points._replace(phi=_moved(phi, i, d)), LOG_STEP) for i in range(len(phi))]
+    by_push = [by_effort(engine, phi, state, command, i, terms) for i in range(nil.shape[1])]
+    parabolas = [_by_term(engine, points, i, then, nil) for i in range(terms.shape[1])]
+    by_term, squared = ([parabola[order] for parabola in parabolas] for order in (0, 1))
+    columns = [_stacked(c, state) for c in (by_state, by_command, by_phi, by_push, by_term, squared)]
+    of_terms = np.einsum("nk,nks->ns", terms, columns[4]) + np.einsum("nk,nks->ns", terms**2, columns[5])
+    at_nil = then - np.einsum("p,nps->ns", phi, columns[2]) - of_terms
+    at_nil = np.where(np.isfinite(at_nil), at_nil, state)
+    return Table(*(np.asarray(a, np.float32) for a in (state, command, at_nil, *columns)))
+
+
+def by_effort(
+    engine: Engine,
+    phi: Float[np.ndarray, " p"],
+    state: Float[np.ndarray, "n s"],
+    command: Float[np.ndarray, "n parts u"],
+    i: int,
+    terms: Float[np.ndarray, "n k"] | None = None,
+) -> Float[np.ndarray, "n s"]:
+    """Derivatives of the next states by the i-th effort."""
+    push = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
+    push[:, i] = EFFORT
+    nil = np.zeros((len(state), len(engine.terms))) if terms is None else terms
+    up, down = (engine.rows(phi, nil, state, command, sign * push) for sign in (1, -1))
+    return (up - down) / (2 * EFFORT)
+
+
+def _by_term(
+    engine: Engine, points: Points, i: int, then: Float[np.ndarray, "n s"], nil: Float[np.ndarray, "n a"]
+) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
+    """Of a parabola in a term its two coefficients: through none of it and what it is, along its slope there. Where it
+    is none, of the line to its size to begin a search at."""
+    there = points.terms[:, i]
+    acts = there != 0
+    size = np.where(acts, there, engine.terms[i].starts[0])
+
+    def missed(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
+        """Of the next states, where the term has other values."""
+        terms = np.array(points.terms)
+        terms[:, i] = values
+        return then - engine.rows(points.phi, terms, points.state, points.command, nil)
+
+    chord = missed(np.where(acts, 0.0, size)) / np.where(acts, size, -size)[:, None]
+    if not acts.any():
+        return chord, np.zeros_like(chord)
+    slope = missed((1 - LOG_STEP) * there) / (LOG_STEP * size)[:, None]
+    bend = np.where(acts, 1 / size, 0.0)[:, None] * (slope - chord)
+    return chord - bend * size[:, None], bend
+
+
+def _moved(values: np.ndarray, index, by: float) -> np.ndarray:
+    """A copy with one column, or one entry of a vector, changed."""
+    values = np.array(values)
+    values[(..., *np.atleast_1d(index))] += by
+    return values
+
+
+def _stacked(columns: list[np.ndarray], state: np.ndarray) -> Float[np.ndarray, "n c s"]:
+    """Columns side by side, zero where they are not finite."""
+    found = np.stack(columns, axis=1) if columns else np.zeros((len(state), 0, state.shape[1]))
+    return np.where(np.isfinite(found), found, 0.0)

@@ -1,0 +1,15 @@
+"""Whether there is a Prefect server to be told of flows and tasks. Without one, tasks keep their names and retries."""
+
+NONE = {
+    "PREFECT_API_URL": "http://none.invalid/api",
+    "PREFECT_CLIENT_SERVER_VERSION_CHECK_ENABLED": "false",
+    "PREFECT_LOGGING_TO_API_ENABLED": "false",
+}
+"""Environment without a server: to run a task, Prefect needs an address, and asks nothing of it."""
+
+
+def there() -> bool:
+    """Whether Prefect's settings name a server."""
+    from prefect.settings import PREFECT_API_URL  # seconds of imports, for those that have Prefect anyway
+
+    return PREFECT_API_URL.value() != NONE["PREFECT_API_URL"]

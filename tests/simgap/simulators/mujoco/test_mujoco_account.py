@@ -1,0 +1,115 @@
+"""What a diagnosis says of a model file: where it started, and what of its findings is written into the model."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from examples.arm import JOINTS, MODEL
+from simgap.effects.augmented import Augmented
+from simgap.engines import Engine
+from simgap.simulators.mujoco import MujocoEngine, load, rescaled
+from simgap.simulators.mujoco.account import account
+
+STEP = 0.02
+
+
+@pytest.fixture(scope="module")
+def engine() -> MujocoEngine:
+    return load(MODEL, STEP)
+
+
+def statement(engine: MujocoEngine, verdict: str, **more: Any) -> dict[str, Any]:
+    """What the account reads of a diagnosis that left the parameters where it started."""
+    values = {p.name: p.nominal for p in engine.parameters}
+    ends = {name: [value, value] for name, value in values.items()}
+    parameters = {"before": values, "after": values, "ci95": ends, "ranges": ends}
+    seen = {"effects": [], "chance": 0.9}
+    return {"verdict": verdict, "statement": "Nothing.", "warnings": [], "notes": [], "effects": [], "resembles": [],
+            "parameters": parameters, "sensitivity": seen, **more}  # fmt: skip
+
+
+def model(engine: MujocoEngine, **terms: float) -> Any:
+    """The constants of a diagnosis; terms by effect and place, `coulomb_friction_pan=0.3`."""
+    augmented = Augmented(cast(Engine, engine))
+    theta = np.zeros(len(augmented.slots), np.float32)
+    for i, slot in enumerate(augmented.slots):
+        effect, site = augmented.catalogue[slot.effect], augmented.sites[slot.effect][slot.site]
+        theta[i] = terms.pop(f"{effect.id}_{site.name}", 0.0) if effect.place == "engine" else 0.0
+    assert not terms
+    return SimpleNamespace(phi=engine.nominal, theta=theta)
+
+
+def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine) -> None:
+    nearer = rescaled(engine, 1 / 110)
+    told = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml")
+    words = "The model's position servos are about 110 times too stiff (kp)."
+    assert told["verdict"] == "parameters_only"
+    assert [told[key][0].startswith(words) for key in ("warnings", "notes")] == [True, True]
+    assert told["statement"].startswith(f"{words} The diagnosis starts from there: the simulator as it is has kp divi")
+    assert "parameters were off and are refitted" in told["statement"]
+    assert told["parameters"]["before"]["kp pan"] == 60
+    assert told["parameters"]["after"]["kp pan"] == pytest.approx(60 / 110)
+    kp = {c["element"]: float(c["after"]) for c in told["patched"]["changes"]}
+    assert kp == pytest.approx(
+        {f"actuator {a}": k / 110 for a, k in (("pan", 60), ("shoulder", 80), ("elbow", 40))}, rel=1e-4
+    )
+
+
+def test_a_model_that_is_not_stays_what_it_was_said_to_be(engine: MujocoEngine) -> None:
+    told = account(engine, model(engine), statement(engine, "nothing"), "arm.patched.xml")
+    assert (told["verdict"], told["statement"], told["warnings"], told["notes"]) == ("nothing", "Nothing.", [], [])
+    assert told["patched"] is None
+
+
+def effect(id: str, where: str, outputs: list[str], **more: Any) -> dict[str, Any]:
+    return {"id": id, "where": where, "outputs": outputs, "channels": [], "constants": [], "from_s": None,
+            "regime": None, "statement": f"{id} on {where}.", **more}  # fmt: skip
+
+
+def test_only_named_effects_are_written(engine: MujocoEngine) -> None:
+    """Of one id some may be named and others not; what is not written is listed with the reason."""
+    named = effect("coulomb_friction", "pan", ["pan_pos", "pan_vel"])
+    matches = [
+        effect("coulomb_friction", "elbow", ["elbow_pos", "elbow_vel"]),
+        effect("payload", "forearm", [f"{j}_{what}" for j in JOINTS for what in ("pos", "vel")]),
+        effect("delay", "cmd_pan", [], channels=["cmd_pan"], constants=[{"name": "delay", "value": 0.03}]),
+    ]
+    told = account(
+        engine,
+        model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.2, payload_forearm=0.4),
+        statement(engine, "missing_physics", effects=[named], resembles=matches),
+        "arm.patched.xml",
+    )
+    changes = [(c["element"], c["attribute"], c["after"]) for c in told["patched"]["changes"]]
+    assert changes == [("joint pan", "frictionloss", "0.3")]
+    assert told["patched"]["unwritten"] == [
+        f"{m['statement']} It is a closest match, which explains only part of the mismatch: its name is not certain."
+        for m in matches
+    ]
+
+
+def test_an_effect_that_joints_share_is_written_at_each(engine: MujocoEngine) -> None:
+    shared = effect("coulomb_friction", "pan, elbow", ["pan_pos", "pan_vel", "elbow_pos", "elbow_vel"])
+    late = effect("delay", "cmd_pan", [], channels=["cmd_pan"], constants=[{"name": "delay", "value": 0.03}])
+    told = account(
+        engine,
+        model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.3, coulomb_friction_shoulder=0.1),
+        statement(engine, "missing_physics", effects=[shared, late]),
+        "arm.patched.xml",
+    )
+    changes = [(c["element"], c["attribute"], c["after"]) for c in told["patched"]["changes"]]
+    assert changes == [
+        ("joint pan", "frictionloss", "0.3"), ("joint elbow", "frictionloss", "0.3"), ("actuator pan", "delay", "0.03"),
+    ]  # fmt: skip
+
+
+def test_what_mjcf_has_no_word_for_is_listed_with_the_reason(engine: MujocoEngine) -> None:
+    effects = [effect("backlash", "cmd_pan", []), effect("delay", "cmd_pan", [], from_s=3.0)]
+    told = account(engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml")
+    assert told["patched"]["changes"] == []
+    assert told["patched"]["unwritten"] == [
+        "backlash on cmd_pan. MJCF has no word for it.",
+        "delay on cmd_pan. It does not act throughout, as what MJCF has words for does.",
+    ]
