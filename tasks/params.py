@@ -215,6 +215,15 @@ class ExternalParams(Strict):
     cases: list[ExternalCase] = Field(description="The machines.")
 
 
+class GroundParams(Strict):
+    """The whole of pipelines/ground/params.yaml."""
+
+    seed: Seed = Field(description="Seed of what a diagnosis draws.")
+    first: Cases = Field(description="Number of the first case; a case is drawn from its number.")
+    cases: Cases = Field(description="How many cases.")
+    workers: Workers = Field(description="Cases diagnosed at the same time, each in a process of its own.")
+
+
 def _merge(base: Any, overrides: Any) -> Any:
     if not (isinstance(base, dict) and isinstance(overrides, dict)):
         return overrides
@@ -234,6 +243,11 @@ def load_sealed(path: Path, *overrides: Mapping[str, Any]) -> SealedParams:
 def load_external(path: Path, *overrides: Mapping[str, Any]) -> ExternalParams:
     """The same of the file of external machines."""
     return _load(path, ExternalParams, overrides)
+
+
+def load_ground(path: Path, *overrides: Mapping[str, Any]) -> GroundParams:
+    """The same of the training ground's file."""
+    return _load(path, GroundParams, overrides)
 
 
 def _load(path: Path, model: type[_Model], overrides: Sequence[Mapping[str, Any]]) -> _Model:

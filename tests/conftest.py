@@ -63,6 +63,16 @@ def prefect_server() -> Iterator[dict[str, str]]:
         server.wait(timeout=30)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _room_for_compiled_code() -> Iterator[None]:
+    """No worker holds what all of its modules compiled."""
+    yield
+    if "jax" in sys.modules:  # most of what takes no time does not compute
+        from simgap import compiled
+
+        compiled.forget_if_many()
+
+
 @pytest.fixture(autouse=True)
 def _own_store() -> Iterator[None]:
     """No test looks for runs where another one did: `mlflow.set_tracking_uri` stays, here and in the environment."""

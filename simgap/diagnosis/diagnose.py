@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from simgap import compiled
 from simgap.diagnosis.hypotheses.space import candidates
 from simgap.diagnosis.hypotheses.support import opened
 from simgap.diagnosis.inference.explain import explain
@@ -68,6 +69,7 @@ def diagnose(
 
     Raises DivergenceError when the simulator leaves the finite numbers on the recordings at its nominal parameters.
     """
+    compiled.forget_if_many()
     rng = np.random.default_rng(seed)
     found, sessions = explained(simulator, sessions, rng, say)
     say("judging on held-out sessions")

@@ -52,8 +52,10 @@ def defend(
         problem, fit, _ = model
         reduced = lacking(model, [candidate], settled(chosen.tried[0].gain))
         own = Tried.of(candidate, fit, reduced.fit)
-        tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, own)
+        others = [c for c in found.chosen if c is not candidate]
+        tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, others, own)
         rounds.append(tried)
+        own = next(t for t in tried.tried if t.candidate is candidate)
         rivals = [t for t in tried.tried if t is not own]
         owed = chosen.screening.threshold / 2
         better = _better(reduced, rivals, own, helps, owed)
@@ -62,7 +64,7 @@ def defend(
             model = Model(problem, *optimise(problem, better.fit))
             rivals.remove(better)
             own = better
-        if own.gain < max(owed, least(problem, base, reduced.fit, model.fit)):
+        if own.beyond < max(owed, least(problem, base, reduced.fit, model.fit)):
             say(f"{candidate.name} is not needed beside the others")
             model = reduced
         else:

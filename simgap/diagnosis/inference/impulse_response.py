@@ -4,7 +4,7 @@ A push fades, for the bodies follow their commands and the estimate follows the 
 in every row add up to what any law of pushes, however it varies from row to row, changes in the innovations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -27,15 +27,20 @@ Echo = Float[np.ndarray, "C T-1 k s"]
 """What a push of one unit in each row changes in the decorrelated innovations of that row and the k - 1 after it."""
 
 
-def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
-    """Along the bodies' own axes, and along the world's where a body that turns moves over the ground."""
+def own_echoes(problem: Problem, v: Variables, axes: Collection[str] | None = None) -> dict[str, Echo]:
+    """Along the bodies' own axes, or some of them."""
     # What acts for a while only hardly changes how a push echoes: the pushes take the place of all supports.
     v = v._replace(delta=np.zeros_like(v.delta[:1]))
     problem = problem._replace(chunks=problem.chunks._replace(gate=problem.chunks.gate[:, :1]))
     drifts = [c for c in candidates(problem.augmented, problem.scales) if c.effect.id in DRIFTS]
     still = raw_innovations(problem, v)
-    own = {c.where: _echo(problem, v, still, c.groups[0], c.starts[0][0]) for c in drifts if len(c.sites) == 1}
-    layout, world = problem.augmented.layout, {}
+    drifts = [c for c in drifts if len(c.sites) == 1 and (axes is None or c.where in axes)]
+    return {c.where: _echo(problem, v, still, c.groups[0], c.starts[0][0]) for c in drifts}
+
+
+def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
+    """Along the bodies' own axes, and along the world's where a body that turns moves over the ground."""
+    own, layout, world = own_echoes(problem, v), problem.augmented.layout, {}
     state = np.asarray(estimates_of(problem.augmented, problem.scales, v, problem.chunks))
     for b, body in enumerate(layout.bodies):
         heading, names = layout.heading[b], layout.outputs(b, (X, Y))

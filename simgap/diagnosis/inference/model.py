@@ -33,7 +33,7 @@ class Tried(NamedTuple):
     """A hypothesis with its constants fitted: gain in log-likelihood over the model without it [nats].
 
     Without a change since a baseline, the effect may be there all along: `without` has its twin fitted. expected: what
-    the screening expects it to gain.
+    the screening expects it to gain. share: of its gain, what the misfit of the effects before it would not explain.
     """
 
     candidate: Candidate
@@ -41,11 +41,17 @@ class Tried(NamedTuple):
     without: Fit
     gain: float
     expected: float
+    share: float = 1.0
 
     @staticmethod
-    def of(candidate: Candidate, fit: Fit, without: Fit, expected: float = 0.0) -> "Tried":
+    def of(candidate: Candidate, fit: Fit, without: Fit, expected: float = 0.0, share: float = 1.0) -> "Tried":
         """With the gain that the two fits make."""
-        return Tried(candidate, fit, without, fit.loglik - without.loglik, expected)
+        return Tried(candidate, fit, without, fit.loglik - without.loglik, expected, share)
+
+    @property
+    def beyond(self) -> float:
+        """Gain [nats] beyond what the misfit of the effects before it would explain."""
+        return self.share * self.gain
 
     @property
     def promise(self) -> float:
@@ -57,7 +63,7 @@ class Tried(NamedTuple):
 
     def further(self, fit_further: Callable[[Fit], Fit]) -> "Tried":
         """Fitted on."""
-        return Tried.of(self.candidate, fit_further(self.fit), self.without, self.expected)
+        return Tried.of(self.candidate, fit_further(self.fit), self.without, self.expected, self.share)
 
 
 Helps = Callable[[Problem, Tried, float], bool]

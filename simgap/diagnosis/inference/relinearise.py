@@ -48,7 +48,7 @@ def carried_on(problem: Problem, tried: Tried, without: Fit) -> tuple[Problem, T
         # First with the parameters held: they would make up for a size that is not found yet, and stay there.
         problem, fit = relinearised(problem, _sized(problem, tried), reach=0.0)
     problem, fit = relinearised(problem, fit)
-    return problem, Tried.of(tried.candidate, fit, without, tried.expected)
+    return problem, Tried.of(tried.candidate, fit, without, tried.expected, tried.share)
 
 
 def _sized(problem: Problem, tried: Tried) -> Fit:

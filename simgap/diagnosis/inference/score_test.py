@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.inference.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.likelihood.filter import Variables
@@ -102,15 +103,13 @@ def _directions(candidates: Sequence[Candidate]) -> list[_Direction]:
 def screen(
     problem: Problem,
     fit: Fit,
-    absorbing: Float[np.ndarray, "M n s"],
+    basis: Float[np.ndarray, "m r"],
     candidates: Sequence[Candidate],
-    level: float,
     rng: np.random.Generator,
 ) -> Screening:
-    """Test all hypotheses against the fitted model; `absorbing` are the derivatives of all that is free in it."""
+    """Test all hypotheses against the fitted model, at `LEVEL`; `absorbed` as `beyond` gives it."""
     w = weights(fit.e, fit.noise).astype(np.float32)
     root = np.sqrt(w).reshape(-1)
-    basis = basis_of(absorbing.reshape(len(absorbing), -1) * root)
     # At the optimum the residual has no part in what the model can absorb; float32 leaves a trace.
     residual = fit.e.reshape(-1) * root
     residual = residual - basis @ (basis.T @ residual)
@@ -151,7 +150,7 @@ def screen(
     evidence = Evidence(*(a[best_first] for a in evidence))
     known = {s.candidate.name for s in found}
     untested = tuple(c.name for c in candidates if c.name not in known)
-    return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, level, rng), untested)
+    return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, LEVEL, rng), untested)
 
 
 def basis_of(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:

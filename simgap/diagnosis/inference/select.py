@@ -20,6 +20,7 @@ from simgap.diagnosis.inference.model import (
     least,
     settled,
 )
+from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.relinearise import carried_on, fitted, relinearised, standing
 from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
@@ -39,21 +40,29 @@ SHARES = tuple(np.geomspace(1, 0.02, 8))
 
 
 def one_more(
-    model: Model, candidates: Sequence[Candidate], rng: np.random.Generator, say: Say, own: Tried | None = None
+    model: Model,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    say: Say,
+    found: Sequence[Candidate] = (),
+    own: Tried | None = None,
 ) -> Round:
     """Screen all hypotheses, fit the most promising, carry the best of those to the end.
 
-    One of them may be fitted already: the `own` that holds the place.
+    found: the effects that the model has, around whose laws there is room for misfit. One of the hypotheses may be
+    fitted already: the `own` that holds the place.
     """
     problem, fit, _ = model
     taken = {(entry, group.support) for group in fit.groups for entry in group.entries}
     free = [c for c in candidates if not taken & {(e, g.support) for g in c.groups for e in g.entries}]
     absorbed = absorbing(model)
-    screening = screen(problem, fit, absorbed, free, LEVEL, rng)
+    around = room(model, absorbed, found)
+    screening = screen(problem, fit, around.whole, free, rng)
     say(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
+    fitted = [around.judged(own)] if own else []
     if screening.p_value > LEVEL:
-        return Round(screening, [])
-    held, fitted = hold(fit, absorbed), [own] if own else []
+        return Round(screening, fitted)
+    held = hold(fit, absorbed)
     likely = [s for s in promising(screening.found) if s.candidate.name not in {t.candidate.name for t in fitted}]
     tried: list[Tried] = []
     for some in _at_once(likely):
@@ -67,7 +76,7 @@ def one_more(
     for some in _at_once(sorted(finalists, key=lambda t: -t.promise)):
         best = max(t.gain for t in (*fitted, *finalists, *tried))
         tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, some)
-    tried = sorted([*fitted, *tried, *others], key=lambda t: -t.gain)
+    tried = sorted([*fitted, *(around.judged(t) for t in (*tried, *others))], key=lambda t: -t.gain)
     say("tried " + ", ".join(f"{t.candidate.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
 
@@ -165,13 +174,13 @@ def search(
     there, rest = relinearised(model.problem, model.fit)
     base, chosen, rounds, refitted = rest, [], [], rest.loglik - model.fit.loglik < SETTLED
     while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
-        found = one_more(model, candidates, rng, say)
+        found = one_more(model, candidates, rng, say, chosen)
         owed = found.screening.threshold / 2
-        worthy = [t for t in found.tried if t.gain > max(owed, least(model.problem, base, model.fit, t.fit))]
+        worthy = [t for t in found.tried if t.beyond > max(owed, least(model.problem, base, model.fit, t.fit))]
         best = None
         for t in worthy:
             retabulated, best = carried_on(model.problem, t, rest)
-            gains = best is t or best.gain > max(owed, least(retabulated, base, rest, best.fit))
+            gains = best is t or best.beyond > max(owed, least(retabulated, base, rest, best.fit))
             if gains and helps(retabulated, best, owed):
                 model = decorrelated(retabulated, best.fit)
                 break

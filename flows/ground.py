@@ -1,0 +1,45 @@
+"""Stage `ground`: machines drawn at random, whose missing physics is known, diagnosed and scored."""
+
+from flows.start_table import main
+
+if __name__ == "__main__":
+    main("ground", __doc__)  # before the imports, which take seconds
+
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from prefect.futures import as_completed
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from flows.flow import flow
+from simgap.cli import progress
+from tasks import fingerprint, ground, verdicts
+from tasks.params import GroundParams
+from tasks.params import load_ground as load
+
+__all__ = ["load", "run"]
+
+
+@flow(name="ground")
+def run(params: GroundParams, root: Path) -> None:
+    """Diagnose every case that this version has not diagnosed; one that fails loses no other."""
+    code, table = fingerprint.diagnosing_code(model_file=True)[:8], root / ground.RUNS
+    wanted = range(params.first, params.first + params.cases)
+    done = verdicts.done(table, code)
+    left = [number for number in wanted if str(number) not in done]
+    progress.say(f"{len(wanted) - len(left)} of {len(wanted)} cases are diagnosed already")
+    pool = ProcessPoolExecutor(params.workers, mp_context=get_context("spawn"))
+    runner = ThreadPoolTaskRunner(max_workers=params.workers)
+    with progress.bars("ground", len(left), time.monotonic) as bars, pool, runner:
+        common = {"seed": params.seed, "pool": pool, "job": bars.job}
+        futures = {runner.submit(ground.diagnose_case, {"number": n, **common}): n for n in left}
+        for future in as_completed(list(futures)):
+            number = futures[future]
+            row = future.result() if future.state.is_completed() else (
+                {"case": number} | verdicts.failed(str(future.state.message))
+            )  # fmt: skip
+            verdicts.keep(table, {"code": code, **row})
+    rows = [row for row in verdicts.earlier(table) if row["code"] == code]
+    progress.say("\n".join(verdicts.summary(rows)))

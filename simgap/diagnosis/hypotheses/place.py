@@ -1,0 +1,41 @@
+"""Where an effect acts, in terms of motion: the axes that its site moves, and what a law there may depend on."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.hypotheses.library import Quantity
+from simgap.effects.effect import Site
+from simgap.layout import YAW, Layout
+
+
+class Place(NamedTuple):
+    """A site's own motion: (body, axis) pairs, and its command channels."""
+
+    moving: tuple[tuple[int, int], ...]
+    channels: tuple[str, ...]
+
+    def axes(self, layout: Layout) -> list[str]:
+        """Names of the axes along which it can be pushed."""
+        return [layout.outputs(b, (a,))[0] for b, a in self.moving if layout.velocity[b, a] >= 0]
+
+    def depends_on(self, layout: Layout, known: Sequence[Quantity]) -> list[int]:
+        """Indices of the quantities that are its own: velocity, position, command, and their means over the past."""
+        names = set(self.channels)
+        for b, a in self.moving:
+            names.add(known[4 * b + a].name)
+            if a != YAW:
+                names.add(known[4 * len(layout.bodies) + 3 * b + a].name)
+        return [i for i, q in enumerate(known) if q.name in names or any(q.name.endswith(f" of {n}") for n in names)]
+
+
+def place_of(layout: Layout, site: Site) -> Place:
+    """What a site's channels drive; without any, what it is named after or shows in."""
+    commands, states = [f.name for f in layout.schema.command], [f.name for f in layout.schema.state]
+    tables = [(layout.driven, commands.index(name)) for name in site.channels]
+    if not any((table == index).any() for table, index in tables):
+        shown = [site.name] if site.name in states else site.outputs
+        tables = [(t, states.index(name)) for name in shown for t in (layout.velocity, layout.position)]
+    found = [tuple(map(int, where)) for table, index in tables for where in np.argwhere(table == index)]
+    return Place(tuple(dict.fromkeys(found)), site.channels)  # type: ignore[arg-type]  # pairs

@@ -1,0 +1,130 @@
+"""Laws are not exact: what each effect found may be wrong by, so that its misfit is not credited to a further effect.
+
+Around every effect, at each of its sites, stands a flexible law: the effect's own contribution, earlier or later and
+stronger or weaker with what the site does, and pushes along the site's axes that depend on what it does. How far it may
+go is a prior: `DISCREPANCY`, a share of the effect's own contribution.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from simgap.diagnosis.config import DISCREPANCY
+from simgap.diagnosis.hypotheses.library import dictionary, quantities, values
+from simgap.diagnosis.hypotheses.place import Place, place_of
+from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.inference.impulse_response import direction, own_echoes
+from simgap.diagnosis.inference.model import Model, Tried, without
+from simgap.diagnosis.inference.score_test import DEPENDENT, basis_of
+from simgap.diagnosis.likelihood.problem import Group, Problem, trials
+from simgap.diagnosis.likelihood.segments import rows_of
+from simgap.diagnosis.likelihood.student_t import weights
+
+LAGS = (-2, -1, 1, 2, 3, 4)
+"""Rows by which an effect's contribution may come late."""
+NOTHING = 1e-9
+"""Squared length of a direction [nats] below which there is none."""
+
+
+class Room(NamedTuple):
+    """What a model absorbs of a direction, at the roots of the weights: by what is free in it (orthonormal columns),
+    and by the misfit of its effects (columns T such that 1 - T T' takes out what that would)."""
+
+    root: Float[np.ndarray, "n s"]
+    residual: Float[np.ndarray, "n s"]
+    free: Float[np.ndarray, "m r"]
+    misfit: Float[np.ndarray, "m k"]
+
+    @property
+    def whole(self) -> Float[np.ndarray, "m r+k"]:
+        """Both."""
+        return np.concatenate([self.free, self.misfit], axis=1)
+
+    def judged(self, tried: Tried) -> Tried:
+        """With the share of its gain that misfit would not explain."""
+        if not self.misfit.shape[1]:
+            return tried
+        d = ((tried.fit.e - tried.without.e) * self.root).ravel()
+        most, beyond = (_gain(d, self.residual.ravel(), basis) for basis in (self.free, self.whole))
+        return tried._replace(share=min(beyond / max(most, NOTHING), 1.0))
+
+
+def _gain(d: Float[np.ndarray, " m"], residual: Float[np.ndarray, " m"], basis: Float[np.ndarray, "m r"]) -> float:
+    """What the residual gains [nats] along a direction beyond what the basis absorbs."""
+    d, residual = (a - basis @ (basis.T @ a) for a in (d, residual))
+    return 0.5 * float(d @ residual) ** 2 / max(float(d @ d), NOTHING)
+
+
+def room(model: Model, absorbing: Float[np.ndarray, "M n s"], effects: Sequence[Candidate]) -> Room:
+    """Of a model with what is free in it, and its effects."""
+    fit = model.fit
+    root = np.sqrt(weights(fit.e, fit.noise)).astype(np.float32)
+    free = basis_of(absorbing.reshape(len(absorbing), root.size) * root.ravel())
+    misfit = relaxations(model, effects, root) if effects else np.zeros((0, *root.shape), np.float32)
+    return Room(root, fit.e * root, free, softly(misfit.reshape(len(misfit), root.size) * root.ravel(), free))
+
+
+def relaxations(
+    model: Model, effects: Sequence[Candidate], root: Float[np.ndarray, "n s"]
+) -> Float[np.ndarray, "K n s"]:
+    """Directions in which the innovations may deviate from the effects' laws, each by about one."""
+    problem, fit, _ = model
+    layout, counts = problem.augmented.layout, np.asarray(problem.chunks.counts)
+    known, z = quantities(layout), values(problem, fit.v)
+    places = [each for effect in effects for each in _alone(problem, effect)]
+    heard = own_echoes(problem, fit.v, {axis for _, place in places for axis in place.axes(layout)})
+    found = []
+    for groups, place in places:
+        own = fit.e - trials(problem, [without(fit, groups).v])[0]
+        seen = place.depends_on(layout, known)
+        functions = dictionary([known[i] for i in seen], z[counts][:, seen])
+        pushes = [f.of(z[..., seen]) for f in functions]
+        varied = [own * push[counts][:, None].astype(np.float32) for push in pushes]
+        directions = [direction(problem, heard[a], pushes) for a in place.axes(layout) if a in heard and pushes]
+        shifted = _shifted(own, rows_of(problem.chunks).session)
+        found.append(_sized(np.concatenate([shifted, *([varied] if varied else []), *directions]), own, root))
+    return np.concatenate(found).astype(np.float32)
+
+
+def _sized(
+    columns: Float[np.ndarray, "K n s"], own: Float[np.ndarray, "n s"], root: Float[np.ndarray, "n s"]
+) -> Float[np.ndarray, "K n s"]:
+    """Such that all together, each with a coefficient of about one, make `DISCREPANCY` of a contribution."""
+    size = np.sqrt(((columns * root) ** 2).sum((1, 2)))
+    most = DISCREPANCY * np.sqrt(((own * root) ** 2).sum() / len(columns))
+    return columns * np.where(size > NOTHING, most / np.maximum(size, NOTHING), 0.0)[:, None, None]
+
+
+def _alone(problem: Problem, effect: Candidate) -> list[tuple[tuple[Group, ...], Place]]:
+    """Each site's own share of the constants, and where it is."""
+    augmented = problem.augmented
+    sites = augmented.sites[augmented.catalogue.index(effect.effect)]
+    return [
+        (tuple(Group((g.entries[k],), g.scale, g.support) for g in effect.groups), place_of(augmented.layout, sites[s]))
+        for k, s in enumerate(effect.sites)
+    ]
+
+
+def _shifted(own: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "l n s"]:
+    """A contribution some rows earlier and later, within sessions."""
+    found = np.zeros((len(LAGS), *own.shape), own.dtype)
+    for i, lag in enumerate(LAGS):
+        to, of = (slice(lag, None), slice(None, -lag)) if lag > 0 else (slice(None, lag), slice(-lag, None))
+        found[i, to] = np.where((session[to] == session[of])[:, None], own[of], 0.0)
+    return found
+
+
+def softly(columns: Float[np.ndarray, "K m"], basis: Float[np.ndarray, "m r"]) -> Float[np.ndarray, "m k"]:
+    """Columns T such that 1 - T T' takes out of a direction what the given ones, each with a coefficient of about one,
+    would absorb of it beyond what the basis does."""
+    if not len(columns):
+        return np.zeros((len(basis), 0), np.float32)
+    columns = columns - (columns @ basis) @ basis.T
+    squared, axes = np.linalg.eigh((columns @ columns.T).astype(np.float64))
+    kept = squared > DEPENDENT * max(squared[-1], NOTHING)
+    squared, axes = squared[kept], axes[:, kept]
+    # The part s^2 that a prior of variance one leaves to them; of a square root of 1 - s^2 each side takes one.
+    taken = np.sqrt(1 - np.sqrt(1 / (squared + 1)))
+    return columns.T @ (axes * taken / np.sqrt(squared)).astype(np.float32)

@@ -1,0 +1,182 @@
+"""A case of the training ground, drawn from its number: a machine, what it has and its simulator lacks, recordings."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from simgap.ground.laws import FAMILIES, OUTSIDE, WITHIN, Law
+from simgap.ground.machines import MACHINES, Machine
+from simgap.types import Recording, Sessions
+
+SESSIONS, ROWS = 6, 210
+"""Of a case: equal shapes are compiled once."""
+HELD_OUT = 2
+FINER = 10
+"""Steps of the machine in a row, by the midpoint rule."""
+KINDS = {"nothing": 0.25, "within": 0.4, "two": 0.1, "outside": 0.25}
+"""Shares of the cases by what is left out: nothing, a law that has a name, two of them, one that has none."""
+SIZES = 0.03, 0.5
+"""Of laws, as shares of usual commands and speeds."""
+NOISE = 0.02, 0.6
+"""Scale of a measurement's noise, as a share of what its output usually changes by from row to row."""
+WARM = 20
+"""Rows before a recording begins."""
+
+
+class Case(NamedTuple):
+    """A case: machine, what it lacks (names of families), sessions, and how much that shows.
+
+    strength: half the squared change of the next row that the laws make, in units of the noise, summed over the fitted
+    rows and the outputs [nats]: what a perfect observer would gain who knew state and laws.
+    """
+
+    number: int
+    machine: Machine
+    kind: str
+    families: tuple[str, ...]
+    tails: str
+    sessions: Sessions
+    strength: float
+
+    @property
+    def causes(self) -> list[frozenset[str]]:
+        """For each law, the effects that name it rightly."""
+        return [FAMILIES[name].names for name in self.families]
+
+
+def draw(number: int) -> Case:
+    """The case of that number."""
+    rng = np.random.default_rng([20261125, number])
+    machine = MACHINES[rng.integers(len(MACHINES))]
+    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    families = _families(kind, rng)
+    sizes = np.exp(rng.uniform(*np.log(SIZES), len(families)))
+    params = _parameters(machine, rng)
+    rate, row = _rate(machine, params), machine.time_step
+    drawn = int(rng.integers(2**32))
+    clean = []
+    for session in range(SESSIONS):
+        # The same laws in all sessions, but for what is random in time.
+        laws = [FAMILIES[f].draw(np.random.default_rng([drawn, i]), s, row, rate)
+                for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
+        for law in laws:
+            if hasattr(law, "rng"):
+                law.rng = np.random.default_rng([drawn, 99, session])
+        clean.append(_simulated(machine, params, laws, _commands(machine, rng)))
+    scale = np.exp(rng.uniform(*np.log(NOISE))) * np.std(np.concatenate([np.diff(c.state, axis=0) for c in clean]), 0)
+    tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
+    recordings = [_measured(f"session_{i:02d}", machine, c, scale, tails, rng) for i, c in enumerate(clean)]
+    fitted = SESSIONS - HELD_OUT
+    changed = np.concatenate([c.changed for c in clean[:fitted]])
+    strength = float(0.5 * ((changed / scale) ** 2).sum())
+    sessions = Sessions(recordings[:fitted], recordings[fitted:])
+    return Case(number, machine, kind, families, tails, sessions, strength)
+
+
+def _families(kind: str, rng: np.random.Generator) -> tuple[str, ...]:
+    if kind == "nothing":
+        return ()
+    if kind == "two":
+        return tuple(map(str, rng.choice(WITHIN, 2, replace=False)))
+    return (str(rng.choice(WITHIN if kind == "within" else OUTSIDE)),)
+
+
+def _parameters(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray, " p"]:
+    """Anywhere in the inner two thirds of their ranges."""
+    return np.array([p.low + (p.high - p.low) * rng.uniform(1 / 6, 5 / 6) for p in machine.parameters])
+
+
+def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
+    """Acceleration per unit of command, at rest."""
+    nil = np.zeros(len(machine.schema.state))
+    command = np.eye(len(machine.schema.command))[0]
+    q, v = nil[: machine.positions], nil[machine.positions :]
+    at = [np.array(machine.acceleration(np, params, q, v, u)) for u in (command, 0 * command)]
+    return float(np.abs(at[0] - at[1]).max())
+
+
+def _commands(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray, "T u"]:
+    """Steps, waves or a wander, per channel and session."""
+    rows = WARM + ROWS
+    t = np.arange(rows)
+    columns = []
+    for _ in machine.schema.command:
+        manner = rng.integers(3)
+        if manner == 0:
+            lasts = rng.integers(8, 30)
+            columns.append(np.repeat(rng.uniform(-1.2, 1.2, rows // lasts + 1), lasts)[:rows])
+        elif manner == 1:
+            periods, phases = np.exp(rng.uniform(*np.log([8, 120]), 3)), rng.uniform(0, 2 * np.pi, 3)
+            columns.append(0.7 * np.sin(2 * np.pi * t[:, None] / periods + phases).sum(1))
+        else:
+            kept = np.exp(-1 / rng.uniform(5, 30))
+            wander = np.zeros(rows)
+            for k in range(1, rows):
+                wander[k] = kept * wander[k - 1] + np.sqrt(1 - kept**2) * rng.standard_normal()
+            columns.append(0.8 * wander)
+    return np.stack(columns, axis=1)
+
+
+class _Clean(NamedTuple):
+    """Noise-free states, the commands, and what the laws changed in each row."""
+
+    state: Float[np.ndarray, "T s"]
+    command: Float[np.ndarray, "T u"]
+    changed: Float[np.ndarray, "T s"]
+
+
+def _simulated(
+    machine: Machine, params: Float[np.ndarray, " p"], laws: Sequence[Law], command: Float[np.ndarray, "T u"]
+) -> _Clean:
+    """A session of the machine from rest, without the rows before its recording begins."""
+    h, n = machine.time_step / FINER, machine.positions
+    state = np.zeros(len(machine.schema.state))
+    states, changes = [], []
+    for sent in command:
+        states.append(state)
+        plain = state
+        for _ in range(FINER):
+            arrives = sent
+            for law in laws:
+                arrives = law.command(arrives, h)
+            q, v = state[:n], state[n:]
+            pushed = sum((law.push(q, v, arrives, h) for law in laws), np.zeros(len(v)))
+            state = _after(machine, params, state, arrives, h, pushed)
+            plain = _after(machine, params, plain, sent, h, np.zeros(len(v)))
+        changes.append(state - plain)
+    kept = slice(WARM, None)
+    return _Clean(np.array(states)[kept], command[kept], np.array(changes)[kept])
+
+
+def _after(
+    machine: Machine,
+    params: Float[np.ndarray, " p"],
+    state: Float[np.ndarray, " s"],
+    command: Float[np.ndarray, " u"],
+    h: float,
+    pushed: Float[np.ndarray, " v"],
+) -> Float[np.ndarray, " s"]:
+    """The state one short step later, by the midpoint rule."""
+    middle = state + h / 2 * np.array(machine.derivative(np, params, state, command, pushed))
+    return state + h * np.array(machine.derivative(np, params, middle, command, pushed))
+
+
+def _measured(
+    name: str,
+    machine: Machine,
+    clean: _Clean,
+    scale: Float[np.ndarray, " s"],
+    tails: str,
+    rng: np.random.Generator,
+) -> Recording:
+    shape = clean.state.shape
+    if tails == "quantised":
+        step = 2 * np.where(scale > 0, scale, 1.0)
+        state = step * np.round((clean.state + 0.3 * scale * rng.standard_normal(shape)) / step)
+    else:
+        drawn = {"gaussian": rng.standard_normal, "student_t": lambda s: rng.standard_t(4, s) / np.sqrt(2),
+                 "laplace": lambda s: rng.laplace(0, np.sqrt(0.5), s)}[tails](shape)  # fmt: skip
+        state = clean.state + scale * drawn
+    return Recording(name, machine.time_step * np.arange(shape[0]), state, clean.command)

@@ -1,0 +1,55 @@
+"""Stage `ground`: cases of the training ground diagnosed, and scored against what they lack."""
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from prefect import task
+
+from simgap.diagnosis.diagnose import diagnose
+from simgap.ground.draw import Case, draw
+from simgap.types import Report, SimgapError
+from tasks import verdicts
+
+RUNS = Path("reports/ground/runs.csv")
+Job = Callable[[str, int], AbstractContextManager[Report]]
+
+
+@task(task_run_name="diagnose-{number}")
+def diagnose_case(number: int, seed: int, pool: ProcessPoolExecutor, job: Job) -> dict[str, Any]:
+    """Have a process of the pool diagnose a case; its row of the table."""
+    with job(str(number), 1):
+        return pool.submit(diagnosed, number, seed).result()
+
+
+def diagnosed(number: int, seed: int) -> dict[str, Any]:
+    """The row of a case: what it is, what is said of it, and how right that is."""
+    case, started = draw(number), time.monotonic()
+    try:
+        statement = diagnose(case.machine, case.machine.name, case.sessions, seed).statement
+        said = verdicts.judged(case.causes, statement) | _gains(statement)
+    except SimgapError as error:
+        said = verdicts.failed(str(error))
+    return {"case": number, **_drawn(case), "seconds": round(time.monotonic() - started, 1), **said}
+
+
+def _drawn(case: Case) -> dict[str, Any]:
+    return {
+        "machine": case.machine.name,
+        "kind": case.kind,
+        "families": "; ".join(case.families),
+        "tails": case.tails,
+        "strength": round(case.strength, 1),
+    }
+
+
+def _gains(statement: Mapping[str, Any]) -> dict[str, Any]:
+    """What the named effects gain [nats], on fitted and held-out sessions."""
+    effects = statement["effects"]
+    return {
+        "gains": "; ".join(f"{e['gain_nats']:.1f}" for e in effects),
+        "heldout_gains": "; ".join(f"{e['heldout_gain_nats']:.1f}" for e in effects),
+    }

@@ -1,0 +1,67 @@
+"""Cases of the training ground: the same by the same number, and what they are said to be."""
+
+import jax
+import numpy as np
+import pytest
+
+from simgap.ground import draw as ground
+from simgap.ground.draw import Case, draw
+from simgap.ground.laws import FAMILIES, OUTSIDE, WITHIN
+from simgap.ground.machines import MACHINES, Machine
+
+CASES = [draw(number) for number in range(12)]
+
+
+def test_a_case_is_drawn_from_its_number_alone() -> None:
+    again = draw(CASES[3].number)
+    assert again.families == CASES[3].families
+    for a, b in zip(again.sessions.fitted, CASES[3].sessions.fitted, strict=True):
+        np.testing.assert_array_equal(a.state, b.state)
+
+
+def test_all_kinds_come_and_have_what_they_are_called() -> None:
+    counts = {"nothing": 0, "within": 1, "two": 2, "outside": 1}
+    assert {c.kind for c in CASES} >= {"nothing", "within", "outside"}
+    for case in CASES:
+        assert len(case.families) == counts[case.kind]
+        assert all(bool(names) == (case.kind != "outside") for names in case.causes)
+        assert (case.strength > 0) == bool(case.families)
+
+
+@pytest.mark.parametrize("case", CASES[:4], ids=lambda c: str(c.number))
+def test_recordings_are_finite_and_of_the_machine(case: Case) -> None:
+    schema = case.machine.schema
+    for r in (*case.sessions.fitted, *case.sessions.heldout):
+        assert r.state.shape == (ground.ROWS, len(schema.state))
+        assert r.command.shape == (ground.ROWS, len(schema.command))
+        assert np.isfinite(r.state).all()
+
+
+@pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.name)
+def test_the_simulator_and_the_machine_differ_by_less_than_any_noise(machine: Machine) -> None:
+    """Without laws and noise, a row of the simulator is a row of the machine."""
+    rng = np.random.default_rng(0)
+    params = np.array([(p.low + 2 * p.high) / 3 for p in machine.parameters])
+    clean = ground._simulated(machine, params, [], ground._commands(machine, rng))
+    predicted = np.asarray(jax.vmap(lambda s, u: machine.step(params, s, u))(clean.state[:-1], clean.command[:-1]))
+    change = np.std(np.diff(clean.state, axis=0), 0)
+    off = np.sqrt(np.mean((predicted - clean.state[1:]) ** 2, 0))
+    assert (off < 0.1 * ground.NOISE[0] * change).all()
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_law_changes_what_the_machine_does_and_more_with_its_size(name: str) -> None:
+    machine = MACHINES[0]
+    params = np.array([(p.low + p.high) / 2 for p in machine.parameters])
+    command = ground._commands(machine, np.random.default_rng(1))
+
+    def change(size: float) -> float:
+        law = FAMILIES[name].draw(np.random.default_rng(2), size, machine.time_step, 5.0)
+        return float(np.abs(ground._simulated(machine, params, [law], command).changed).mean())
+
+    assert 0 < change(0.05) < change(0.4)
+
+
+def test_families_have_a_name_or_none() -> None:
+    assert set(WITHIN) | set(OUTSIDE) == set(FAMILIES)
+    assert not set(WITHIN) & set(OUTSIDE)
