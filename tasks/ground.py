@@ -47,9 +47,10 @@ def _drawn(case: Case) -> dict[str, Any]:
 
 
 def _gains(statement: Mapping[str, Any]) -> dict[str, Any]:
-    """What the named effects gain [nats], on fitted and held-out sessions."""
+    """What the named effects gain [nats], on fitted and held-out sessions, and would gain by bending."""
     effects = statement["effects"]
     return {
         "gains": "; ".join(f"{e['gain_nats']:.1f}" for e in effects),
         "heldout_gains": "; ".join(f"{e['heldout_gain_nats']:.1f}" for e in effects),
+        "misfits": "; ".join(f"{e['misfit_nats']:.1f}" for e in effects),
     }

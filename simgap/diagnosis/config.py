@@ -5,7 +5,7 @@ LEVEL = 0.004
 LEAST_SHARE = 0.03
 """A further effect must gain this share of what those before it gained in the same outputs: less may be no more than
 the difference between their laws and the robot's."""
-DISCREPANCY = 0.5
+DISCREPANCY = 1.0
 """By which share of its contribution a law may be wrong: as much of it is not credited to further effects."""
 MOST_EFFECTS = 4
 """Different effects that a diagnosis adds at most: a search that goes on fits what the laws found do not."""

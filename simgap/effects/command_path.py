@@ -165,7 +165,7 @@ EFFECTS = (
         "delay", "command",
         (Constant("delay", "s", lambda c, site, scales: c * scales.time_step, 0.0, float(HISTORY_ROWS)),),
         channel_sites, _fixed(0.5, 1.0, 2.0, 3.5, 5.0, 7.0), _delay,
-        "dead time: commands act {delay} after they are sent", tie="any", basins=True,
+        "dead time: commands act {delay} after they are sent", tie="any", basins=True, bends=("past",),
     ),
     Effect(
         "quantization", "command", (Constant("step", "{u}", low=0.0),), channel_sites,

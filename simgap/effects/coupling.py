@@ -107,20 +107,23 @@ EFFECTS = (
     Effect(
         "arm_base_coupling", "push", _RATIO, _carrier_sites((X, Y)), lambda scales, site: [[0.1]], _arm_acceleration,
         "reaction: accelerating the arm pushes the base back, by {ratio} of the arm's acceleration",
-        form="acceleration",
+        form="acceleration", bends=("past", "speed"),
     ),
     Effect(
         "arm_base_coupling", "push", _RATIO, _carrier_sites((X, Y)), lambda scales, site: [[0.1]], _arm_velocity,
         "reaction: moving the arm pushes the base back, by {ratio} of the arm's velocity", form="velocity",
+        bends=("past", "speed"),
     ),
     Effect(
         "arm_base_coupling", "push", (Constant("ratio", "rad/m^2", low=-5.0, high=5.0),), _carrier_sites((YAW,)),
         lambda scales, site: [[0.1]], _arm_moment,
         "reaction: moving the arm turns the base, by {ratio} of the moment of the arm's acceleration", form="moment",
+        bends=("past", "speed"),
     ),
     Effect(
         "base_arm_coupling", "push", _RATIO, _mounted_sites, lambda scales, site: [[0.1]], _base_acceleration,
         "accelerating the base drags the arm beyond rigid motion, by {ratio} of the acceleration",
+        bends=("past", "speed"),
     ),
     Effect(
         "induced_velocity", "push", (Constant("share", "-", low=-1.5, high=1.5),), _with_turning_carrier,

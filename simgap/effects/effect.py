@@ -18,6 +18,18 @@ from simgap.kinematics import Motion, on_body
 from simgap.layout import Layout
 
 Place = Literal["command", "filter", "before", "engine", "push", "after", "sensing"]
+Bend = Literal["past", "command", "speed", "place"]
+"""In what a law's true form may differ from its form in the catalogue: in its memory, or by how it depends on the
+command, the speed or the position where it acts."""
+_BENDS: dict[str, tuple[Bend, ...]] = {
+    "command": ("command",),
+    "filter": ("past",),
+    "before": ("past",),
+    "engine": ("past", "speed", "place"),
+    "push": ("speed",),
+    "after": ("past",),
+    "sensing": ("past", "place"),
+}
 HISTORY_ROWS = 8
 """Past commands an augmented simulator remembers: the longest dead time, in rows."""
 SENSED_ROWS = 4
@@ -113,7 +125,8 @@ class Effect:
     turned, not on how long ago. jagged: the likelihood has many summits along the constant. basins: it has a few; the
     simulator's parameters lead to one with too small a constant, so that fits begin at all starts. event: it acts
     during a stretch of one session. coarse: it is about steps as long as a row, which an engine cuts into many. law:
-    see the module of its place. says: a sentence for people, with the constants' names to fill in.
+    see the module of its place. says: a sentence for people, with the constants' names to fill in. bends: see `Bend`;
+    those usual of its place, unless given.
     """
 
     id: str
@@ -130,6 +143,10 @@ class Effect:
     event: bool = False
     coarse: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
+    bends: tuple[Bend, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bends", self.bends or _BENDS[self.place])
 
     @property
     def key(self) -> str:

@@ -131,43 +131,48 @@ EFFECTS = (
         "gravity_sag", "push", (Constant("sink per reach", "1/s", low=0.0),), _lifted_sites((Z,)),
         lambda scales, site: [[0.05]], _sag,
         "the arm sags under its own weight: it sinks by {sink per reach} times its reach",
+        bends=("place",),
     ),
     Effect(
         "payload", "push", _PAYLOAD, _lifted_sites((X, Y, Z, YAW)), _onsets, _payload(inherited=False),
         "payload: from {onset} on a load is carried; the motion answers slower (added memory {added memory}) and sinks "
-        "by {sink}", form="own_motion",
+        "by {sink}", form="own_motion", bends=("place",),
     ),
     Effect(
         "payload", "push", _PAYLOAD, _lifted_sites((X, Y, Z, YAW)), _onsets, _payload(inherited=True),
         "payload: from {onset} on a load is carried, and its velocity in the world is remembered longer (added memory "
-        "{added memory}); it sinks by {sink}", form="inherited",
+        "{added memory}); it sinks by {sink}", form="inherited", bends=("place",),
     ),
     Effect(
         "slope", "push",
         (Constant("pull x", "-", low=-1.0, high=1.0), Constant("pull y", "-", low=-1.0, high=1.0)), _ground_sites,
         lambda scales, site: [[0.05, 0.05]], _slope,
         "tilted ground pulls by ({pull x}, {pull y}) of the walking speed in the world's x and y",
+        bends=("place",),
     ),
     Effect(
         "body_frame_bias", "push", (Constant("drift", "{u}"),), _axes_of_bodies, _fraction_of_command(0.05), _bias,
         "a steady drift of {drift} in the robot's own frame",
+        bends=("place",),
     ),
     Effect(
         "constant_load", "push", (Constant("load", "{u}"),), _axes_of_joints, _fraction_of_command(0.05), _bias,
         "a constant load of {load} acts on the joint",
+        bends=("place",),
     ),
     Effect(
         "external_push", "push", (Constant("velocity", "{u}", low=0.0), Constant("direction", "rad", shapes=True)),
         _pushable_sites, _directions, _external,
         "a disturbance from outside pushes by {velocity} towards {direction} in the world", event=True,
-        form="world_frame",
+        form="world_frame", bends=("place",),
     ),
     Effect(
         "external_push", "push", (Constant("velocity", "{u}"),), _axes_of_bodies, _fraction_of_command(0.2), _bias,
         "a disturbance from outside pushes by {velocity} along the robot's own axis", event=True, form="own_frame",
+        bends=("place",),
     ),
     Effect(
         "external_push", "push", (Constant("load", "{u}"),), _axes_of_joints, _fraction_of_command(0.2), _bias,
-        "a disturbance from outside pushes the joint by {load}", event=True, form="on_joint",
+        "a disturbance from outside pushes the joint by {load}", event=True, form="on_joint", bends=("place",),
     ),
 )  # fmt: skip

@@ -80,16 +80,18 @@ EFFECTS = (
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
         lambda layout: body_sites(layout, reaching(layout), (X, Y)), _reaches, _outward(2),
         "reach limit: beyond a horizontal reach of {reach} the arm cannot follow outward commands", form="horizontal",
+        bends=("place",),
     ),
     Effect(
         "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
         lambda layout: body_sites(layout, reaching(layout), (X, Y, Z)),
         lambda scales, site: [[0.8 * c[0]] for c in _reaches(scales, site)], _outward(3),
         "reach limit: beyond {reach} from its carrier's origin the arm cannot follow outward commands",
-        form="spherical",
+        form="spherical", bends=("place",),
     ),
     Effect(
         "ground_contact", "after", (Constant("height", "m", _height, 0.0),), _floored_sites, _heights, _contact,
         "ground contact: no motion below a height of {height}",
+        bends=("place",),
     ),
 )  # fmt: skip

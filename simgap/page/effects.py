@@ -67,7 +67,11 @@ def alternatives(statement: Values, figures: Figures) -> dict[str, Any]:
 def _card(effect: Values, figures: Figures) -> dict[str, Any]:
     gains = [
         {"value": numbers.fixed(effect[key], 1), "of": of}
-        for key, of in (("gain_nats", "on the sessions fitted"), ("heldout_gain_nats", "on held-out sessions"))
+        for key, of in (
+            ("gain_nats", "on the sessions fitted"),
+            ("heldout_gain_nats", "on held-out sessions"),
+            ("misfit_nats", "more on those fitted, were its form free to bend"),
+        )
         if numbers.known(effect.get(key))
     ]
     title = wording.title(effect["id"])

@@ -1,12 +1,12 @@
 """Where an effect acts, in terms of motion: the axes that its site moves, and what a law there may depend on."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from simgap.diagnosis.hypotheses.library import Quantity
-from simgap.effects.effect import Site
+from simgap.effects.effect import Bend, Site
 from simgap.layout import YAW, Layout
 
 
@@ -20,14 +20,13 @@ class Place(NamedTuple):
         """Names of the axes along which it can be pushed."""
         return [layout.outputs(b, (a,))[0] for b, a in self.moving if layout.velocity[b, a] >= 0]
 
-    def depends_on(self, layout: Layout, known: Sequence[Quantity]) -> list[int]:
-        """Indices of the quantities that are its own: velocity, position, command, and their means over the past."""
-        names = set(self.channels)
+    def quantities(self, layout: Layout, known: Sequence[Quantity], bends: Collection[Bend]) -> list[int]:
+        """Indices of its own quantities of these kinds, among those that `library.quantities` knows."""
+        found = [i for i, q in enumerate(known) if "command" in bends and q.name in self.channels]
         for b, a in self.moving:
-            names.add(known[4 * b + a].name)
-            if a != YAW:
-                names.add(known[4 * len(layout.bodies) + 3 * b + a].name)
-        return [i for i, q in enumerate(known) if q.name in names or any(q.name.endswith(f" of {n}") for n in names)]
+            found += [4 * b + a] if "speed" in bends else []
+            found += [4 * len(layout.bodies) + 3 * b + a] if "place" in bends and a != YAW else []
+        return found
 
 
 def place_of(layout: Layout, site: Site) -> Place:

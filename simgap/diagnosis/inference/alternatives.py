@@ -23,7 +23,7 @@ class Member(NamedTuple):
 
     gain: of the set over the set without it [nats]. odds: probability of every effect id that could stand in its place;
     rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. when: it acts then only,
-    if not throughout.
+    if not throughout. misfit: what it would gain besides [nats], were its law free to bend (`relaxation.misfit`).
     """
 
     candidate: Candidate
@@ -32,6 +32,7 @@ class Member(NamedTuple):
     rival: Tried | None
     without: Fit
     when: When | None = None
+    misfit: float = 0.0
 
 
 def defend(

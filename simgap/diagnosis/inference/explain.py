@@ -17,6 +17,7 @@ from simgap.diagnosis.inference.noise import scatter
 from simgap.diagnosis.inference.nonparametric import no_law, unnamed
 from simgap.diagnosis.inference.onsets import acts_when, begins
 from simgap.diagnosis.inference.posterior import spread
+from simgap.diagnosis.inference.relaxation import misfit
 from simgap.diagnosis.inference.select import search
 from simgap.diagnosis.inference.two_sample import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.likelihood.linearised import tabulated
@@ -116,8 +117,9 @@ def explain(
     scattered = [s for s in scattered if s.gain > (max(owed, rejected) if s.rare else owed)]
     base = base or found.bare(len(baseline))
     law = no_law(found.model, found.unseen) if baseline else unnamed(found.model, found.unseen, rng, say)
+    members = tuple(m._replace(misfit=misfit(found.model, m.candidate)) for m in found.members)
     return Explanation(
-        problem, asked.as_is, base.fit, fit, spread(*found.model), found.members, scattered,
+        problem, asked.as_is, base.fit, fit, spread(*found.model), members, scattered,
         leaves(problem, fit, len(baseline)), law, found.unseen, found.supports,
         [*found.searched.rounds, *found.rounds], len(baseline),
     )  # fmt: skip

@@ -45,9 +45,11 @@ class Explanation(NamedTuple):
         """Whether an effect explains its outputs, rather than being the nearest word for something else.
 
         A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do;
-        and what many names fit alike is likely something that has none.
+        what many names fit alike is likely something that has none; and so is what a law explains only where it bends.
         """
         if member.odds[member.candidate.effect.id] < LIKELY:
+            return False
+        if member.gain < EXPLAINED * (member.gain + member.misfit):
             return False
         nameless = np.maximum(self.left.nats, self.law.nats(self.fit))
         share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)

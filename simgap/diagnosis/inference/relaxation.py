@@ -16,14 +16,17 @@ from simgap.diagnosis.hypotheses.library import dictionary, quantities, values
 from simgap.diagnosis.hypotheses.place import Place, place_of
 from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.inference.impulse_response import direction, own_echoes
-from simgap.diagnosis.inference.model import Model, Tried, without
+from simgap.diagnosis.inference.model import Model, Tried, absorbing, without
 from simgap.diagnosis.inference.score_test import DEPENDENT, basis_of
 from simgap.diagnosis.likelihood.problem import Group, Problem, trials
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import weights
+from simgap.effects.effect import HISTORY_ROWS
 
 LAGS = (-2, -1, 1, 2, 3, 4)
 """Rows by which an effect's contribution may come late."""
+NARROW = (0.02, 0.06, 0.2)
+"""Widths about zero, as shares of a quantity's usual size."""
 NOTHING = 1e-9
 """Squared length of a direction [nats] below which there is none."""
 
@@ -57,11 +60,11 @@ def _gain(d: Float[np.ndarray, " m"], residual: Float[np.ndarray, " m"], basis: 
     return 0.5 * float(d @ residual) ** 2 / max(float(d @ d), NOTHING)
 
 
-def room(model: Model, absorbing: Float[np.ndarray, "M n s"], effects: Sequence[Candidate]) -> Room:
+def room(model: Model, columns: Float[np.ndarray, "M n s"], effects: Sequence[Candidate]) -> Room:
     """Of a model with what is free in it, and its effects."""
     fit = model.fit
     root = np.sqrt(weights(fit.e, fit.noise)).astype(np.float32)
-    free = basis_of(absorbing.reshape(len(absorbing), root.size) * root.ravel())
+    free = basis_of(columns.reshape(len(columns), root.size) * root.ravel())
     misfit = relaxations(model, effects, root) if effects else np.zeros((0, *root.shape), np.float32)
     return Room(root, fit.e * root, free, softly(misfit.reshape(len(misfit), root.size) * root.ravel(), free))
 
@@ -73,18 +76,20 @@ def relaxations(
     problem, fit, _ = model
     layout, counts = problem.augmented.layout, np.asarray(problem.chunks.counts)
     known, z = quantities(layout), values(problem, fit.v)
-    places = [each for effect in effects for each in _alone(problem, effect)]
-    heard = own_echoes(problem, fit.v, {axis for _, place in places for axis in place.axes(layout)})
+    places = [(effect.effect.bends, *each) for effect in effects for each in _alone(problem, effect)]
+    heard = own_echoes(problem, fit.v, {axis for _, _, place in places for axis in place.axes(layout)})
     found = []
-    for groups, place in places:
+    for bends, groups, place in places:
         own = fit.e - trials(problem, [without(fit, groups).v])[0]
-        seen = place.depends_on(layout, known)
+        seen = place.quantities(layout, known, bends)
         functions = dictionary([known[i] for i in seen], z[counts][:, seen])
-        pushes = [f.of(z[..., seen]) for f in functions]
+        pushes = [f.of(z[..., seen]) for f in functions] + [p for i in seen for p in _about_zero(z[..., i])]
         varied = [own * push[counts][:, None].astype(np.float32) for push in pushes]
+        if "past" in bends:
+            pushes += _responses(problem, place)
         directions = [direction(problem, heard[a], pushes) for a in place.axes(layout) if a in heard and pushes]
-        shifted = _shifted(own, rows_of(problem.chunks).session)
-        found.append(_sized(np.concatenate([shifted, *([varied] if varied else []), *directions]), own, root))
+        columns = [_shifted(own, rows_of(problem.chunks).session), *([np.stack(varied)] if varied else []), *directions]
+        found.append(_sized(np.concatenate(columns), own, root))
     return np.concatenate(found).astype(np.float32)
 
 
@@ -105,6 +110,25 @@ def _alone(problem: Problem, effect: Candidate) -> list[tuple[tuple[Group, ...],
         (tuple(Group((g.entries[k],), g.scale, g.support) for g in effect.groups), place_of(augmented.layout, sites[s]))
         for k, s in enumerate(effect.sites)
     ]
+
+
+def _about_zero(values: Float[np.ndarray, "C T-1"]) -> list[Float[np.ndarray, "C T-1"]]:
+    """Functions of a quantity that are narrow about zero, where a law may turn: even, and odd."""
+    usual = max(float(np.quantile(np.abs(values), 0.9)), NOTHING)
+    even = [np.exp(-np.abs(values) / (share * usual)) for share in NARROW]
+    return [*even, *(np.sign(values) * e for e in even)]
+
+
+def _responses(problem: Problem, place: Place) -> list[Float[np.ndarray, "C T-1"]]:
+    """Pushes by the commands of the rows before: whatever the response to them is, it is made of these."""
+    chunks, commands = problem.chunks, [f.name for f in problem.augmented.layout.schema.command]
+    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1], np.asarray(chunks.command)[:, :-1]], axis=1)
+    rows = sent.shape[1] - np.asarray(chunks.past).shape[1]
+    found = []
+    for name in place.channels:
+        column = sent[..., commands.index(name)]
+        found += [column[:, column.shape[1] - rows - lag : column.shape[1] - lag] for lag in range(HISTORY_ROWS + 1)]
+    return found
 
 
 def _shifted(own: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "l n s"]:
@@ -128,3 +152,17 @@ def softly(columns: Float[np.ndarray, "K m"], basis: Float[np.ndarray, "m r"]) -
     # The part s^2 that a prior of variance one leaves to them; of a square root of 1 - s^2 each side takes one.
     taken = np.sqrt(1 - np.sqrt(1 / (squared + 1)))
     return columns.T @ (axes * taken / np.sqrt(squared)).astype(np.float32)
+
+
+def misfit(model: Model, effect: Candidate) -> float:
+    """What one of a model's effects would gain [nats], were its law free to bend, beyond what bending gains by chance.
+
+    Bending beyond the law's own size is unlikely by the prior, and gains no more than that allows.
+    """
+    around = room(model, absorbing(model), [effect])
+    r = around.residual.ravel()
+    r = r - around.free @ (around.free.T @ r)
+    rest = r - around.misfit @ (around.misfit.T @ r)
+    squared = (around.misfit**2).sum(0)
+    by_chance = float((1 - (1 - squared) ** 2).sum()) * float(r @ r) / len(r)
+    return max(0.5 * (float(r @ r) - float(rest @ rest) - by_chance), 0.0)

@@ -199,7 +199,7 @@ def _scattered(s: Scatter) -> dict[str, Any]:
     return {
         "id": s.id, **SCATTERED, "probability": s.odds[s.id], "channels": [], "outputs": list(s.outputs),
         "statement": s.statement, "constants": s.constants, "credible_set": credible_set(s.odds), "gain_nats": s.gain,
-        "heldout_gain_nats": s.heldout_gain, "from_s": None, "regime": None,
+        "misfit_nats": 0.0, "heldout_gain_nats": s.heldout_gain, "from_s": None, "regime": None,
     }  # fmt: skip
 
 
@@ -216,7 +216,7 @@ def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> 
         "id": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where,
         "probability": member.odds[candidate.effect.id], "channels": list(candidate.channels),
         "outputs": list(outputs), "statement": wording.effect(candidate, constants) + during, "constants": constants,
-        "credible_set": credible_set(member.odds), "gain_nats": member.gain,
+        "credible_set": credible_set(member.odds), "gain_nats": member.gain, "misfit_nats": member.misfit,
         "heldout_gain_nats": gain(problem, found.unseen, evaluate(problem, member.without.v, ()), found.fit),
         "from_s": when.from_s if when is not None and regime is None else None, "regime": regime,
     }  # fmt: skip

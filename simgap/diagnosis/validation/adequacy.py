@@ -102,7 +102,7 @@ def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judg
 
 def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:
     """Whether an effect improves held-out forecasts at every horizon, by much at one, with its constant well known."""
-    if m.odds[m.candidate.effect.id] < LIKELY or not scores.surely_likelier(without, with_it):
+    if m.odds[m.candidate.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
         return False
     if not told_from_nil(found.problem, found.fit, m.candidate, found.sd, WELL_DETERMINED):
         return False

@@ -8,11 +8,11 @@ import pytest
 from test_ranges import driven
 
 from examples.drive import PARAMETERS, SCHEMA, Drive
-from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.space import Candidate, candidates
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.gauss_newton import hold, optimise, refine
 from simgap.diagnosis.inference.model import Model, absorbing
+from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.score_test import basis_of, screen, vary
 from simgap.diagnosis.inference.select import one_more
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
@@ -70,6 +70,11 @@ def rubbing() -> list[Recording]:
     return [r._replace(command=r.command + 1.5 * np.sign(r.state[:, 1:])) for r in driven((2.5, 5.0))]
 
 
+def free(model: Model) -> np.ndarray:
+    """What a model without effects absorbs."""
+    return room(model, absorbing(model), ()).whole
+
+
 FRICTION = "coulomb_friction on velocity"
 
 
@@ -79,7 +84,7 @@ def test_gains_and_derivatives_are_the_same_in_all_units(length: float, mass: fl
     for units in (InUnits(1.0, 1.0), InUnits(length, mass)):
         of = posed(units, units.recorded(rubbing()))
         model, friction, drag = optimised(of), known(of, FRICTION), known(of, "viscous_drag on velocity")
-        screening = screen(of, model.fit, absorbing(model), [friction, drag], LEVEL, np.random.default_rng(0))
+        screening = screen(of, model.fit, free(model), [friction, drag], np.random.default_rng(0))
         begun = evaluate(of, vary(model.fit.v, friction, friction.starts[0]), friction.groups, model.fit.noise)
         fitted = refine(of, begun, hold(model.fit, model.nuisance), 4)
         constant = float(fitted.v.theta[friction.groups[0].entries[0]]) / (length * mass if found else 1.0)
@@ -194,7 +199,7 @@ def test_hypotheses_with_which_the_simulator_explodes_are_named() -> None:
     model = optimised(posed(Drive(), driven((2.5, 5.0))))
     of, drag = model.problem, known(model.problem, "viscous_drag on velocity")
     explosive = drag._replace(starts=((1e30,),), where="explosive")
-    found = screen(of, model.fit, absorbing(model), [drag, explosive], LEVEL, np.random.default_rng(0))
+    found = screen(of, model.fit, free(model), [drag, explosive], np.random.default_rng(0))
     assert found.untested == (explosive.name,)
     assert {s.candidate.name for s in found.found} == {drag.name}
 
