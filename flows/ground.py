@@ -5,12 +5,14 @@ from flows.start_table import main
 if __name__ == "__main__":
     main("ground", __doc__)  # before the imports, which take seconds
 
+import threading
 import time
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
-from prefect.futures import as_completed
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from flows.flow import flow
@@ -31,15 +33,18 @@ def run(params: GroundParams, root: Path) -> None:
     left = [number for number in wanted if str(number) not in done]
     progress.say(f"{len(wanted) - len(left)} of {len(wanted)} cases are diagnosed already")
     pool = ProcessPoolExecutor(params.workers, mp_context=get_context("spawn"))
-    runner = ThreadPoolTaskRunner(max_workers=params.workers)
-    with progress.bars("ground", len(left), time.monotonic) as bars, pool, runner:
-        common = {"seed": params.seed, "pool": pool, "job": bars.job}
-        futures = {runner.submit(ground.diagnose_case, {"number": n, **common}): n for n in left}
-        for future in as_completed(list(futures)):
-            number = futures[future]
-            row = future.result() if future.state.is_completed() else (
-                {"case": number} | verdicts.failed(str(future.state.message))
-            )  # fmt: skip
+    runner, alone = ThreadPoolTaskRunner(max_workers=params.workers), threading.Lock()
+
+    def keep(row: Mapping[str, Any]) -> None:
+        with alone:
             verdicts.keep(table, {"code": code, **row})
+
+    with progress.bars("ground", len(left), time.monotonic) as bars, pool, runner:
+        common = {"seed": params.seed, "pool": pool, "job": bars.job, "keep": keep}
+        futures = {number: runner.submit(ground.diagnose_case, {"number": number, **common}) for number in left}
+        for number, future in futures.items():
+            future.wait()
+            if not future.state.is_completed():
+                keep({"case": number} | verdicts.failed(str(future.state.message)))
     rows = [row for row in verdicts.earlier(table) if row["code"] == code]
     progress.say("\n".join(verdicts.summary(rows)))

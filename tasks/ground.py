@@ -1,6 +1,5 @@
 """Stage `ground`: cases of the training ground diagnosed, and scored against what they lack."""
 
-import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager
@@ -19,21 +18,23 @@ Job = Callable[[str, int], AbstractContextManager[Report]]
 
 
 @task(task_run_name="diagnose-{number}")
-def diagnose_case(number: int, seed: int, pool: ProcessPoolExecutor, job: Job) -> dict[str, Any]:
-    """Have a process of the pool diagnose a case; its row of the table."""
+def diagnose_case(
+    number: int, seed: int, pool: ProcessPoolExecutor, job: Job, keep: Callable[[Mapping[str, Any]], None]
+) -> None:
+    """Have a process of the pool diagnose a case, and keep its row of the table."""
     with job(str(number), 1):
-        return pool.submit(diagnosed, number, seed).result()
+        keep(pool.submit(diagnosed, number, seed).result())
 
 
 def diagnosed(number: int, seed: int) -> dict[str, Any]:
     """The row of a case: what it is, what is said of it, and how right that is."""
-    case, started = draw(number), time.monotonic()
+    case = draw(number)
     try:
         statement = diagnose(case.machine, case.machine.name, case.sessions, seed).statement
         said = verdicts.judged(case.causes, statement) | _gains(statement)
     except SimgapError as error:
         said = verdicts.failed(str(error))
-    return {"case": number, **_drawn(case), "seconds": round(time.monotonic() - started, 1), **said}
+    return {"case": number, **_drawn(case), **said}
 
 
 def _drawn(case: Case) -> dict[str, Any]:

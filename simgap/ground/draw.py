@@ -52,7 +52,7 @@ def draw(number: int) -> Case:
     machine = MACHINES[rng.integers(len(MACHINES))]
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     families = _families(kind, rng)
-    sizes = np.exp(rng.uniform(*np.log(SIZES), len(families)))
+    sizes = np.exp(rng.uniform(np.log(SIZES[0]), np.log(SIZES[1]), len(families)))
     params = _parameters(machine, rng)
     rate, row = _rate(machine, params), machine.time_step
     drawn = int(rng.integers(2**32))
@@ -62,8 +62,7 @@ def draw(number: int) -> Case:
         laws = [FAMILIES[f].draw(np.random.default_rng([drawn, i]), s, row, rate)
                 for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
         for law in laws:
-            if hasattr(law, "rng"):
-                law.rng = np.random.default_rng([drawn, 99, session])
+            law.begin(np.random.default_rng([drawn, len(laws), session]))
         clean.append(_simulated(machine, params, laws, _commands(machine, rng)))
     scale = np.exp(rng.uniform(*np.log(NOISE))) * np.std(np.concatenate([np.diff(c.state, axis=0) for c in clean]), 0)
     tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
@@ -108,7 +107,7 @@ def _commands(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray, "
             lasts = rng.integers(8, 30)
             columns.append(np.repeat(rng.uniform(-1.2, 1.2, rows // lasts + 1), lasts)[:rows])
         elif manner == 1:
-            periods, phases = np.exp(rng.uniform(*np.log([8, 120]), 3)), rng.uniform(0, 2 * np.pi, 3)
+            periods, phases = np.exp(rng.uniform(np.log(8), np.log(120), 3)), rng.uniform(0, 2 * np.pi, 3)
             columns.append(0.7 * np.sin(2 * np.pi * t[:, None] / periods + phases).sum(1))
         else:
             kept = np.exp(-1 / rng.uniform(5, 30))

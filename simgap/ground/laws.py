@@ -15,7 +15,11 @@ Velocity = Float[np.ndarray, " v"]
 
 
 class Law(Protocol):
-    """A law with a memory, begun anew for every session. `row` [s] is a row's length, by which memories are sized."""
+    """A law with a memory, drawn anew for every session."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Take the session's own randomness."""
+        ...
 
     def command(self, sent: Command, h: float) -> Command:
         """What of the command arrives, a moment of length h [s] later."""
@@ -28,6 +32,9 @@ class Law(Protocol):
 
 class _Plain:
     """A law that does nothing; the others differ from it in one of two ways."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self.rng = rng
 
     def command(self, sent: Command, h: float) -> Command:  # noqa: ARG002
         return sent
@@ -59,8 +66,8 @@ class Push(_Plain):
 class Late(_Plain):
     """Commands arrive `delay` [s] late, plus or minus some `jitter`, and through poles of `lag` [s]."""
 
-    def __init__(self, delay: float, jitter: float, lags: tuple[float, ...], rng: np.random.Generator) -> None:
-        self.delay, self.jitter, self.lags, self.rng = delay, jitter, lags, rng
+    def __init__(self, delay: float, jitter: float, lags: tuple[float, ...]) -> None:
+        self.delay, self.jitter, self.lags = delay, jitter, lags
         self.sent: list[Command] = []
         self.poles: list[Command] | None = None
 
@@ -83,11 +90,12 @@ class Play(_Plain):
         self.at: Command | None = None
 
     def command(self, sent: Command, h: float) -> Command:  # noqa: ARG002
-        self.at = sent.copy() if self.at is None else self.at
-        away = sent - self.at
+        at = sent if self.at is None else self.at
+        away = sent - at
         beyond = np.maximum(np.abs(away) - self.gap / 2, 0.0)
-        self.at = self.at + np.sign(away) * beyond * (1 - self.soft * np.exp(-beyond / self.gap))
-        return self.at
+        moved: Command = at + np.sign(away) * beyond * (1 - self.soft * np.exp(-beyond / self.gap))
+        self.at = moved
+        return moved
 
 
 class Slow(_Plain):
@@ -101,8 +109,9 @@ class Slow(_Plain):
         self.at = sent.copy() if self.at is None else self.at
         step, most = sent - self.at, self.limit * h
         over = np.abs(step) / most
-        self.at = self.at + step / (1 + over**self.corner) ** (1 / self.corner)
-        return self.at
+        moved: Command = self.at + step / (1 + over**self.corner) ** (1 / self.corner)
+        self.at = moved
+        return moved
 
 
 class Ringing(_Plain):
@@ -117,8 +126,9 @@ class Ringing(_Plain):
         self.at = sent.copy() if self.at is None else self.at
         w = self.frequency
         self.rate = self.rate + h * (w**2 * (sent - self.at) - 2 * self.damping * w * self.rate)
-        self.at = self.at + h * self.rate
-        return self.at
+        moved: Command = self.at + h * self.rate
+        self.at = moved
+        return moved
 
 
 class Tired(_Plain):
@@ -136,8 +146,8 @@ class Tired(_Plain):
 class Gusts(_Plain):
     """Random pushes, correlated over `lasts` [s]."""
 
-    def __init__(self, size: float, lasts: float, rng: np.random.Generator) -> None:
-        self.size, self.lasts, self.rng = size, lasts, rng
+    def __init__(self, size: float, lasts: float) -> None:
+        self.size, self.lasts = size, lasts
         self.at: Any = 0.0
 
     def push(self, q: Any, v: Velocity, u: Command, h: float) -> Velocity:  # noqa: ARG002
@@ -186,17 +196,17 @@ def _bias(rng: np.random.Generator, size: float, row: float, rate: float) -> Law
 
 def _delay(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     delay = row * np.clip(10 * size, 0.3, 5)
-    return Late(delay, rng.uniform(0, 0.3) * delay, (), rng)
+    return Late(delay, rng.uniform(0, 0.3) * delay, ())
 
 
 def _lag(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     lag = row * np.clip(10 * size, 0.3, 6)
-    return Late(0.0, 0.0, (lag, rng.uniform(0.02, 0.2) * lag), rng)
+    return Late(0.0, 0.0, (lag, rng.uniform(0.02, 0.2) * lag))
 
 
 def _dispersion(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     part = row * np.clip(10 * size, 0.5, 5) / 3
-    return Late(0.0, 0.0, (part, part, part), rng)
+    return Late(0.0, 0.0, (part, part, part))
 
 
 def _saturation(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
@@ -259,7 +269,7 @@ def _tired(rng: np.random.Generator, size: float, row: float, rate: float) -> La
 
 
 def _gusts(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:
-    return Gusts(size * rate, row * rng.uniform(2, 20), rng)
+    return Gusts(size * rate, row * rng.uniform(2, 20))
 
 
 def _bristles(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001

@@ -137,3 +137,5 @@ def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
 def test_the_external_machines_pipeline_is_complete(run: Callable[..., str]) -> None:
     stages = run("dvc", "stage", "list", "pipelines/external/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == ["pipelines/external/dvc.yaml:external"]
+    stages = run("dvc", "stage", "list", "pipelines/ground/dvc.yaml")
+    assert [line.split()[0] for line in stages.splitlines()] == ["pipelines/ground/dvc.yaml:ground"]

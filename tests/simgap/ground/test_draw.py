@@ -57,6 +57,7 @@ def test_a_law_changes_what_the_machine_does_and_more_with_its_size(name: str) -
 
     def change(size: float) -> float:
         law = FAMILIES[name].draw(np.random.default_rng(2), size, machine.time_step, 5.0)
+        law.begin(np.random.default_rng(3))
         return float(np.abs(ground._simulated(machine, params, [law], command).changed).mean())
 
     assert 0 < change(0.05) < change(0.4)

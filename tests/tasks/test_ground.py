@@ -1,0 +1,34 @@
+"""The stage `ground`: cases of the training ground, diagnosed in processes of their own and scored."""
+
+from pathlib import Path
+
+import pytest
+
+from flows import ground as flow
+from simgap.ground.draw import draw
+from tasks import ground, verdicts
+from tasks.params import GroundParams, load_ground
+
+ROOT = Path(__file__).parents[2]
+NOTHING_MISSING = 10
+
+
+def test_every_case_is_a_row_and_a_finished_one_is_not_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = draw(NOTHING_MISSING)
+    assert not case.families
+    params = GroundParams(seed=0, first=NOTHING_MISSING, cases=1, workers=1)
+    flow.run(params, tmp_path)
+    (row,) = verdicts.earlier(tmp_path / ground.RUNS)
+    assert (row["case"], row["machine"], row["kind"]) == (str(NOTHING_MISSING), case.machine.name, "nothing")
+    assert row["outcome"] in ("right", "open")
+    assert float(row["sure"]) == 0
+
+    monkeypatch.setattr(flow.ground, "diagnose_case", None)  # nobody is to call it
+    flow.run(params, tmp_path)
+    assert "1 of 1 cases are diagnosed already" in capsys.readouterr().out
+
+
+def test_the_file_of_parameters_is_whole() -> None:
+    assert load_ground(ROOT / "pipelines" / "ground" / "params.yaml").cases > 0
