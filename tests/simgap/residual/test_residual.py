@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +31,10 @@ BNN = fsvgd.Config(
     hidden_layer_sizes=(32, 32), likelihood_exponent=1.0, bandwidth_svgd=5.0, validation_share=0.1,
     measurement_sets=32, evaluate_every=1, patience=1,
 )  # fmt: skip
+# One configuration and one number of rows for all: they share what is compiled, and most of what is learnt.
+ROWS = 300
 CONFIG = Config(
-    simulator_steps=600, simulator_learning_rate=1e-2, simulator_batch=64, durations=4, outputscales=(0.05, 0.5),
+    simulator_steps=600, simulator_learning_rate=1e-2, simulator_batch=64, durations=8, outputscales=(0.01, 1.0),
     lengthscales=(3.0,), training_steps=600, evaluate_every=200, patience=400, measurement_points=16, heldout_share=0.2,
     paces=(0.8, 1.0, 1.3), horizon=10,
 )  # fmt: skip
@@ -44,12 +47,18 @@ def truth(x: Array, steps: float = 1.0, bent: float = 0.0) -> Array:
     return change + steps * body.lift(SCHEMA, x)[:, 9:12] @ held
 
 
+_outputs = jax.jit(jax.vmap(truth, (0, 0, None)))
+_step = jax.jit(SPOT.step)
+_features = jax.jit(partial(body.features, SPOT))
+_steady = jax.jit(jax.vmap(steady, (None, 0)))
+
+
 def rows(count: int, seed: int, bent: float = 0.0, stalls: bool = False) -> Transitions:
     """Of such a robot in six sessions; one row in four lasts three steps where it stalls."""
     recorded = 0.5 * jax.random.normal(jax.random.key(0), (200, 31))
     x = uniform_inputs(jax.random.key(seed), count, recorded, SPOT)
     steps = jnp.where(stalls & (jnp.arange(count) % 4 == 0), 3.0, 1.0)
-    y = jax.vmap(partial(truth, bent=bent))(x, steps)
+    y = _outputs(x, steps, bent)
     return Transitions(x, y + 0.01 * jax.random.normal(jax.random.key(seed + 1), y.shape), jnp.arange(count) // 50 % 6)
 
 
@@ -65,8 +74,18 @@ def session(steps: float = 1.0, count: int = 40) -> Recording:
     return Recording("s", np.arange(count) / 15, np.stack(states), commands)
 
 
-def learn(data: Transitions, config: Config = CONFIG, sessions: tuple[Recording, ...] = (session(),)) -> ResidualModel:
-    return residual_model(jax.random.key(0), data, sessions, SPOT, (config, BNN, GAUSSIAN), lambda *_: None)
+class Learnt(NamedTuple):
+    """A model, and the steps and metrics that its learning told of."""
+
+    model: ResidualModel
+    told: list[tuple[int, dict[str, float]]]
+
+
+def learn(data: Transitions) -> Learnt:
+    told: list[tuple[int, dict[str, float]]] = []
+    model = residual_model(jax.random.key(0), data, (session(),), SPOT, (CONFIG, BNN, GAUSSIAN),
+                           lambda step, metrics: told.append((step, metrics)))  # fmt: skip
+    return Learnt(model, told)
 
 
 def nll(model: prediction.Model, data: Transitions) -> float:
@@ -79,22 +98,33 @@ def simulator_alone(model: ResidualModel) -> models.FittedSimulator:
 
 
 @pytest.fixture(scope="module")
-def exact() -> ResidualModel:
+def described() -> Learnt:
     """Of a robot that the simulator describes."""
-    return learn(rows(240, 1))
+    return learn(rows(ROWS, 1))
+
+
+@pytest.fixture(scope="module")
+def exact(described: Learnt) -> ResidualModel:
+    return described.model
+
+
+@pytest.fixture(scope="module")
+def held_back() -> Learnt:
+    """Of a robot of which the simulator misses something."""
+    return learn(rows(ROWS, 1, bent=0.2))
 
 
 def test_features_are_the_same_wherever_the_robot_stands() -> None:
     x = rows(1, 3).x[0]
     turned, R = jnp.asarray(0.7), rotation(jnp.asarray(0.7))
-    state = SPOT.step(PHI, jnp.zeros(12).at[6].set(0.7), jnp.full(6, 0.3))
+    state = _step(PHI, jnp.zeros(12).at[6].set(0.7), jnp.full(6, 0.3))
     moved = jnp.concatenate([R @ state[:3], R @ state[3:6], R @ state[6:9], R @ state[9:]])
     moved = moved.at[2].set(state[2] + turned) + jnp.zeros(12).at[jnp.array([0, 1, 6, 7])].set(
         jnp.array([3.0, -2.0] * 2)
     )
     at = [jnp.concatenate([encode_state(SCHEMA, s), x[13:]]) for s in (state, moved)]
-    np.testing.assert_allclose(body.features(SPOT, at[0]), body.features(SPOT, at[1]), atol=1e-5)
-    assert body.features(SPOT, at[0]).shape == (9 + 18,)
+    np.testing.assert_allclose(_features(at[0]), _features(at[1]), atol=1e-5)
+    assert _features(at[0]).shape == (9 + 18,)
 
 
 def test_a_residual_along_the_bodys_axes_turns_with_it() -> None:
@@ -117,19 +147,19 @@ def test_a_row_of_several_steps_is_that_many_steps_with_the_command_held() -> No
 
 
 def test_without_misfit_nothing_is_added(exact: ResidualModel) -> None:
-    unseen = rows(300, 11)
+    unseen = rows(ROWS, 11)
     none = dataclasses.replace(exact, particles=jax.tree.map(jnp.zeros_like, exact.particles))
     assert nll(exact, unseen) < nll(none, unseen) + 0.3
     assert nll(exact, unseen) < nll(simulator_alone(exact), unseen) + 1.0
     one, zero = jnp.ones(()), jnp.zeros(())
     ways = [dataclasses.replace(exact, pace=one, carried=carried) for carried in (one, zero)]
-    means = [jax.vmap(partial(steady, way))(unseen.x) for way in ways]
+    means = [_steady(way, unseen.x) for way in ways]
     assert float(jnp.sqrt(jnp.mean((means[0] - means[1]) ** 2))) < 0.005  # half the noise
     np.testing.assert_allclose(exact.durations, 1.0, atol=0.15)
 
 
-def test_what_the_simulator_misses_is_learnt() -> None:
-    model, unseen = learn(rows(400, 1, bent=0.2)), rows(300, 11, bent=0.2)
+def test_what_the_simulator_misses_is_learnt(held_back: Learnt) -> None:
+    model, unseen = held_back.model, rows(ROWS, 11, bent=0.2)
     none = dataclasses.replace(model, particles=jax.tree.map(jnp.zeros_like, model.particles))
     assert nll(model, unseen) < nll(none, unseen) - 1.0
 
@@ -141,9 +171,7 @@ def test_shares_become_as_many_equally_likely_durations() -> None:
 
 
 def test_rows_that_stall_are_found_and_their_number() -> None:
-    config = dataclasses.replace(CONFIG, durations=8)
-    data, unseen = rows(400, 1, stalls=True), rows(400, 11, stalls=True)
-    model = learn(data, config)
+    model, unseen = learn(rows(ROWS, 1, stalls=True)).model, rows(ROWS, 11, stalls=True)
     np.testing.assert_allclose(model.durations, [1.0] * 6 + [3.0] * 2, atol=0.2)
     even = dataclasses.replace(model, durations=jnp.ones(8))
     assert nll(model, unseen) < nll(even, unseen) - 1.0
@@ -165,7 +193,7 @@ def test_a_residual_that_does_long_predictions_no_good_is_not_carried(exact: Res
 
 def test_the_prediction_is_a_mixture_over_particles_and_durations(exact: ResidualModel) -> None:
     p = predict(exact, rows(1, 3).x[0])
-    assert p.mean.shape == (3 * 4, 13)
+    assert p.mean.shape == (3 * CONFIG.durations, 13)
     assert prediction.steady(exact, rows(1, 3).x[0]).shape == (3, 13)
     np.testing.assert_array_equal(prediction.predict(exact, rows(1, 3).x[0]).mean, p.mean)
 
@@ -180,18 +208,14 @@ def test_whole_sessions_are_held_out() -> None:
     assert 0 < one_of_two.sum() < 4
 
 
-def test_the_scale_is_chosen_by_the_sessions_held_out() -> None:
+def test_the_scale_is_chosen_by_the_sessions_held_out(described: Learnt, held_back: Learnt) -> None:
     """Rows that miss a lot in a smooth way call for the larger scale; where there is only noise, the smaller one."""
-    told: list[tuple[int, float]] = []
-    config = dataclasses.replace(CONFIG, outputscales=(0.01, 1.0))
-    for bent in (0.3, 0.0):
-        told.clear()
-        residual_model(jax.random.key(0), rows(300, 1, bent=bent), [session()], SPOT, (config, BNN, GAUSSIAN),
-                       lambda step, metrics: told.append((step, metrics.get("validation_nll", np.nan))))  # fmt: skip
-        small = min(v for s, v in told if 600 < s <= 1200)
-        large = min(v for s, v in told if s > 1200)
+    for told, bent in ((held_back.told, 0.2), (described.told, 0.0)):
+        nlls = [(step, metrics.get("validation_nll", np.nan)) for step, metrics in told]
+        small = min(v for s, v in nlls if 600 < s <= 1200)
+        large = min(v for s, v in nlls if s > 1200)
         assert (large < small) == (bent > 0)
-    assert [s for s, _ in told] == sorted(s for s, _ in told)
+        assert [s for s, _ in nlls] == sorted(s for s, _ in nlls)
 
 
 @pytest.mark.parametrize(
