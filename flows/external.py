@@ -12,8 +12,8 @@ from flows.flow import flow
 from simgap.cli import progress
 from simgap.types import SimgapError
 from tasks import external, fingerprint, verdicts
-from tasks.params import ExternalParams
-from tasks.params import load_external as load
+from tasks.params_machines import ExternalParams
+from tasks.params_machines import load_external as load
 
 __all__ = ["load", "run"]
 

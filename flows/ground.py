@@ -18,8 +18,8 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from flows.flow import flow
 from simgap.cli import progress
 from tasks import fingerprint, ground, verdicts
-from tasks.params import GroundParams
-from tasks.params import load_ground as load
+from tasks.params_machines import GroundParams
+from tasks.params_machines import load_ground as load
 
 __all__ = ["load", "run"]
 

@@ -10,7 +10,7 @@ from prefect import task
 import simgap
 from simgap.types import ConfigError
 from tasks import verdicts
-from tasks.params import ExternalCase, ExternalParams
+from tasks.params_machines import ExternalCase, ExternalParams
 
 RUNS = Path("reports/external/runs.csv")
 

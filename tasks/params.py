@@ -197,33 +197,6 @@ class SealedParams(Strict):
     score: SealedScoreParams
 
 
-class ExternalCase(Strict):
-    """A machine that nobody here made, and what its makers say is left out of a simple simulator of it."""
-
-    name: Name = Field(description="Name of the machine in the table of runs.")
-    simulator: str = Field(description="`module:name`, or the path of an MJCF or URDF in the folder.")
-    recordings: list[str] = Field(min_length=1, description="Glob patterns of sessions in the folder.")
-    heldout: list[str] = Field(default=[], description="Of sessions to judge by; none: every fourth of the others.")
-    causes: list[list[str]] = Field(description="What is left out: of every cause, the effects that name it rightly.")
-
-
-class ExternalParams(Strict):
-    """The whole of pipelines/external/params.yaml."""
-
-    seed: Seed = Field(description="Seed of what a diagnosis draws.")
-    folder: Path = Field(description="Folder of the machines' recordings, absolute or from the project's root.")
-    cases: list[ExternalCase] = Field(description="The machines.")
-
-
-class GroundParams(Strict):
-    """The whole of pipelines/ground/params.yaml."""
-
-    seed: Seed = Field(description="Seed of what a diagnosis draws.")
-    first: Cases = Field(description="Number of the first case; a case is drawn from its number.")
-    cases: Cases = Field(description="How many cases.")
-    workers: Workers = Field(description="Cases diagnosed at the same time, each in a process of its own.")
-
-
 def _merge(base: Any, overrides: Any) -> Any:
     if not (isinstance(base, dict) and isinstance(overrides, dict)):
         return overrides
@@ -232,25 +205,16 @@ def _merge(base: Any, overrides: Any) -> Any:
 
 def load_params(path: Path, *overrides: Mapping[str, Any]) -> Params:
     """`path` with `overrides` merged in, block by block; ConfigError names every key that is wrong."""
-    return _load(path, Params, overrides)
+    return read(path, Params, overrides)
 
 
 def load_sealed(path: Path, *overrides: Mapping[str, Any]) -> SealedParams:
     """The same of the sealed suites' file."""
-    return _load(path, SealedParams, overrides)
+    return read(path, SealedParams, overrides)
 
 
-def load_external(path: Path, *overrides: Mapping[str, Any]) -> ExternalParams:
-    """The same of the file of external machines."""
-    return _load(path, ExternalParams, overrides)
-
-
-def load_ground(path: Path, *overrides: Mapping[str, Any]) -> GroundParams:
-    """The same of the training ground's file."""
-    return _load(path, GroundParams, overrides)
-
-
-def _load(path: Path, model: type[_Model], overrides: Sequence[Mapping[str, Any]]) -> _Model:
+def read(path: Path, model: type[_Model], overrides: Sequence[Mapping[str, Any]]) -> _Model:
+    """A file of parameters with `overrides` merged in, as `model`; ConfigError names every key that is wrong."""
     values = read_yaml(path)
     for override in overrides:
         values = _merge(values, dict(override))

@@ -24,12 +24,10 @@ command, the speed or the position where it acts."""
 _BENDS: dict[str, tuple[Bend, ...]] = {
     "command": ("command",),
     "filter": ("past",),
-    "before": ("past",),
-    "engine": ("past", "speed", "place"),
+    "before": ("past",), "after": ("past",), "sensing": ("past", "place"),
     "push": ("speed",),
-    "after": ("past",),
-    "sensing": ("past", "place"),
-}
+    "engine": ("past", "speed", "place"),
+}  # fmt: skip
 HISTORY_ROWS = 8
 """Past commands an augmented simulator remembers: the longest dead time, in rows."""
 SENSED_ROWS = 4

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.ground.laws import FAMILIES, OUTSIDE, WITHIN, Law
+from simgap.ground.families import FAMILIES, OUTSIDE, WITHIN
+from simgap.ground.laws import Law
 from simgap.ground.machines import MACHINES, Machine
 from simgap.types import Recording, Sessions
 

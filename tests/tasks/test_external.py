@@ -9,7 +9,7 @@ import pytest
 from flows import external as flow
 from simgap.types import ConfigError
 from tasks import external, verdicts
-from tasks.params import ExternalCase, ExternalParams, load_external
+from tasks.params_machines import ExternalCase, ExternalParams, load_external
 
 ROOT = Path(__file__).parents[2]
 

@@ -7,7 +7,7 @@ import pytest
 from flows import ground as flow
 from simgap.ground.draw import draw
 from tasks import ground, verdicts
-from tasks.params import GroundParams, load_ground
+from tasks.params_machines import GroundParams, load_ground
 
 ROOT = Path(__file__).parents[2]
 NOTHING_MISSING = 10

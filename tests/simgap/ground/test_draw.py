@@ -6,7 +6,7 @@ import pytest
 
 from simgap.ground import draw as ground
 from simgap.ground.draw import Case, draw
-from simgap.ground.laws import FAMILIES, OUTSIDE, WITHIN
+from simgap.ground.families import FAMILIES, OUTSIDE, WITHIN
 from simgap.ground.machines import MACHINES, Machine
 
 CASES = [draw(number) for number in range(12)]

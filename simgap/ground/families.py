@@ -1,0 +1,149 @@
+"""Kinds of missing physics of the training ground, each drawn with constants of its own.
+
+Sizes are shares of usual commands and speeds, which are near one. `names` are the effects that name a family rightly;
+none where the vocabulary has no word for it.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.ground.laws import Bristles, Gusts, Late, Law, Play, Push, Ringing, Slow, Static, Tired
+
+
+class Family(NamedTuple):
+    """A kind of missing physics: the effects that name it rightly, and how one of it is drawn, `draw(rng, size, row,
+    rate)`. row: length of a row [s]; rate: the machine's acceleration per unit of command [1/s^2]."""
+
+    names: frozenset[str]
+    draw: Callable[[np.random.Generator, float, float, float], Law]
+
+
+def _friction(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    soft, bump, fades = rng.uniform(0.005, 0.1), rng.uniform(0, 0.6), rng.uniform(0.1, 0.5)
+    force = size * rate
+    return Push(lambda q, v, u: -force * np.tanh(v / soft) * (1 + bump * np.exp(-np.abs(v) / fades)))  # noqa: ARG005
+
+
+def _drag(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    power, force = rng.uniform(1.6, 2.4), size * rate
+    return Push(lambda q, v, u: -force * np.sign(v) * np.abs(v) ** power)  # noqa: ARG005
+
+
+def _bias(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    force, wave = rng.choice([-1, 1]) * size * rate, rng.uniform(0, 0.3)
+    # Along the first axis; a little of it varies with the speed.
+    return Push(lambda q, v, u: np.eye(len(v))[0] * force * (1 + wave * np.sin(2 * v[0])))  # noqa: ARG005
+
+
+def _delay(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    delay = row * np.clip(10 * size, 0.3, 5)
+    return Late(delay, rng.uniform(0, 0.3) * delay, ())
+
+
+def _lag(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    lag = row * np.clip(10 * size, 0.3, 6)
+    return Late(0.0, 0.0, (lag, rng.uniform(0.02, 0.2) * lag))
+
+
+def _dispersion(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    part = row * np.clip(10 * size, 0.5, 5) / 3
+    return Late(0.0, 0.0, (part, part, part))
+
+
+def _saturation(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    limit, sharp = 1.5 / (1 + 4 * size), rng.uniform(3, 12)
+    return Static(lambda u: u / (1 + np.abs(u / limit) ** sharp) ** (1 / sharp))
+
+
+def _deadband(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    width, soft = size, rng.uniform(0.02, 0.3) * size
+    # Commands beyond are lessened by the width or not, to some degree.
+    lost = rng.choice([0.0, 1.0])
+    passes = lambda u: 1 / (1 + np.exp(np.clip(-(np.abs(u) - width) / soft, -50, 50)))  # noqa: E731
+    return Static(lambda u: passes(u) * (u - lost * width * np.sign(u)))
+
+
+def _one_sided(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    weak, soft, side = 1 - min(size, 0.8), rng.uniform(0.02, 0.2), rng.choice([-1, 1])
+    return Static(lambda u: u * (1 - (1 - weak) / (1 + np.exp(np.clip(side * u / soft, -50, 50)))))
+
+
+def _rate_limit(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    return Slow(0.25 / (row * (0.2 + 10 * size)), rng.uniform(2, 8))
+
+
+def _play(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    return Play(size, rng.uniform(0, 0.5))
+
+
+def _cogging(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    turns, phase, force = rng.uniform(4, 15), rng.uniform(0, 2 * np.pi), size * rate
+    return Push(lambda q, v, u: force * np.sin(turns * q[: len(v)] + phase))  # noqa: ARG005
+
+
+def _wall(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    where, force = rng.uniform(-0.2, 0.4), 8 * size * rate
+    return Push(lambda q, v, u: -force * np.maximum(q[: len(v)] - where, 0.0))  # noqa: ARG005
+
+
+def _hardening(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    force = size * rate * rng.choice([-0.5, 1.0])
+    return Push(lambda q, v, u: -force * np.clip(q[: len(v)], -2, 2) ** 3)  # noqa: ARG005
+
+
+def _product(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    force = size * rate * rng.choice([-1, 1])
+    return Push(lambda q, v, u: force * v * np.tanh(u[: len(v)]))  # noqa: ARG005
+
+
+def _place_gain(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    turns, force = rng.uniform(1, 4), size * rate
+    return Push(lambda q, v, u: force * np.sin(turns * q[: len(v)]) * u[: len(v)])
+
+
+def _ringing(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    return Ringing(1 / (row * (0.5 + 10 * size)), rng.uniform(0.1, 0.4))
+
+
+def _tired(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    return Tired(min(3 * size, 0.9), row * rng.uniform(20, 100))
+
+
+def _gusts(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:
+    return Gusts(size * rate, row * rng.uniform(2, 20))
+
+
+def _bristles(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    return Bristles(size * rate, rng.uniform(0.1, 0.6), rng.uniform(0.5, 2))
+
+
+def _named(*names: str) -> frozenset[str]:
+    return frozenset(names)
+
+
+FAMILIES: dict[str, Family] = {
+    "friction": Family(_named("coulomb_friction"), _friction),
+    "drag": Family(_named("quadratic_drag"), _drag),
+    "bias": Family(_named("body_frame_bias"), _bias),
+    "delay": Family(_named("delay"), _delay),
+    "lag": Family(_named("lag"), _lag),
+    "dispersion": Family(_named("delay", "lag"), _dispersion),
+    "saturation": Family(_named("saturation"), _saturation),
+    "deadband": Family(_named("deadband"), _deadband),
+    "one_sided": Family(_named("asymmetric_gain"), _one_sided),
+    "rate_limit": Family(_named("rate_limit"), _rate_limit),
+    "play": Family(_named("backlash"), _play),
+    "cogging": Family(_named(), _cogging),
+    "wall": Family(_named(), _wall),
+    "hardening": Family(_named(), _hardening),
+    "product": Family(_named(), _product),
+    "place_gain": Family(_named(), _place_gain),
+    "ringing": Family(_named(), _ringing),
+    "tired": Family(_named(), _tired),
+    "gusts": Family(_named(), _gusts),
+    "bristles": Family(_named(), _bristles),
+}
+WITHIN = tuple(name for name, family in FAMILIES.items() if family.names)
+OUTSIDE = tuple(name for name, family in FAMILIES.items() if not family.names)
