@@ -97,7 +97,7 @@ def prepare(workspace: Workspace, params: Params) -> None:
 
 def finish(process: subprocess.Popen[bytes], folder: Path) -> tuple[int, str]:
     """Exit status and what was printed."""
-    status = process.wait(timeout=600)
+    status = process.wait(timeout=1200)
     return status, (folder / "output.txt").read_text()
 
 
@@ -202,7 +202,8 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
 
 def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Path) -> None:
     """A sweep, which trains and scores and does nothing besides; `test_killed` has every stage."""
-    params = load_params(ROOT / "params.yaml", TINY).model_dump(mode="json")
+    train = {**TINY["train"], "models": ["sim_model"], "sample_sizes": [40], "seeds": [*range(len(CELLS))]}
+    params = load_params(ROOT / "params.yaml", {**TINY, "train": train}).model_dump(mode="json")
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
     process = launch(tmp_path, SWEEP, os.environ)
     models = tmp_path / "sweeps" / "w" / "models" / "virtual"
@@ -234,7 +235,7 @@ def test_models_that_are_given_a_diagnosis(
 ) -> None:
     """One diagnosis serves both; where the recordings are too few, cells fail, are named and lose no other."""
     train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
-    policy = {**TINY["policy"], "models": ["sim_model_diagnosed", "residual_diagnosed"], "sample_sizes": [80, 100_000]}
+    policy = {**TINY["policy"], "models": ["residual_diagnosed"], "sample_sizes": [80, 100_000]}
     overrides = {**TINY, "train": train, "policy": policy}
     workspace = Workspace(tmp_path / "w", "virtual")
     stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
@@ -242,7 +243,7 @@ def test_models_that_are_given_a_diagnosis(
     status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
     assert status == 1
     assert "4 of 8 cells failed" in output
-    assert "2 of 4 policies failed" in output
+    assert "1 of 2 policies failed" in output
     assert "N = 100000 transitions are asked for" in output
     assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80, 80]
     assert not stale.exists()
