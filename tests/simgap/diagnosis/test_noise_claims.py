@@ -18,7 +18,7 @@ from simgap.diagnosis.likelihood.student_t import fit_noise
 
 SETS = 40
 """Data sets of a study of coverage."""
-ROW_SETS = 30
+ROW_SETS = 40
 """Of rows, of which each takes a second: intervals that hold the truth in but two of three sets fail the study in more
 than nine cases of ten."""
 FEWEST = int(binom.ppf(0.001, SETS, 0.95))
