@@ -21,8 +21,8 @@ __all__ = ["load", "run"]
 @flow(name="external")
 def run(params: ExternalParams, root: Path) -> None:
     """Diagnose every machine that this version has not diagnosed; one that fails loses no other."""
-    code, table = fingerprint.diagnosing_code(model_file=True)[:8], root / external.RUNS
-    done = verdicts.done(table, code)
+    runs = verdicts.Runs(root / external.RUNS, fingerprint.diagnosing_code(model_file=True)[:8])
+    done = runs.done
     left = [case for case in params.cases if case.name not in done]
     progress.say(f"{len(params.cases) - len(left)} of {len(params.cases)} machines are diagnosed already")
     with progress.bars("external", len(left), time.monotonic) as bars:
@@ -34,6 +34,5 @@ def run(params: ExternalParams, root: Path) -> None:
                 except SimgapError as error:
                     row = verdicts.failed(str(error))
             progress.say(f"{case.name}: {row['outcome']}; {row.get('named') or row['verdict']}")
-            verdicts.keep(table, {"code": code, "case": case.name, "seconds": time.monotonic() - started, **row})
-    rows = [row for row in verdicts.earlier(table) if row["code"] == code]
-    progress.say("\n".join(verdicts.summary(rows)))
+            runs.keep({"case": case.name, "seconds": time.monotonic() - started, **row})
+    progress.say("\n".join(verdicts.summary(runs.own)))

@@ -5,13 +5,10 @@ from flows.start_table import main
 if __name__ == "__main__":
     main("ground", __doc__)  # before the imports, which take seconds
 
-import threading
 import time
-from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from prefect.task_runners import ThreadPoolTaskRunner
 
@@ -27,24 +24,17 @@ __all__ = ["load", "run"]
 @flow(name="ground")
 def run(params: GroundParams, root: Path) -> None:
     """Diagnose every case that this version has not diagnosed; one that fails loses no other."""
-    code, table = fingerprint.diagnosing_code(model_file=True)[:8], root / ground.RUNS
-    wanted = range(params.first, params.first + params.cases)
-    done = verdicts.done(table, code)
+    runs = verdicts.Runs(root / ground.RUNS, fingerprint.diagnosing_code(model_file=True)[:8])
+    wanted, done = range(params.first, params.first + params.cases), runs.done
     left = [number for number in wanted if str(number) not in done]
     progress.say(f"{len(wanted) - len(left)} of {len(wanted)} cases are diagnosed already")
     pool = ProcessPoolExecutor(params.workers, mp_context=get_context("spawn"))
-    runner, alone = ThreadPoolTaskRunner(max_workers=params.workers), threading.Lock()
-
-    def keep(row: Mapping[str, Any]) -> None:
-        with alone:
-            verdicts.keep(table, {"code": code, **row})
-
+    runner = ThreadPoolTaskRunner(max_workers=params.workers)
     with progress.bars("ground", len(left), time.monotonic) as bars, pool, runner:
-        common = {"seed": params.seed, "pool": pool, "job": bars.job, "keep": keep}
+        common = {"seed": params.seed, "pool": pool, "job": bars.job, "keep": runs.keep}
         futures = {number: runner.submit(ground.diagnose_case, {"number": number, **common}) for number in left}
         for number, future in futures.items():
             future.wait()
             if not future.state.is_completed():
-                keep({"case": number} | verdicts.failed(str(future.state.message)))
-    rows = [row for row in verdicts.earlier(table) if row["code"] == code]
-    progress.say("\n".join(verdicts.summary(rows)))
+                runs.keep({"case": number} | verdicts.failed(str(future.state.message)))
+    progress.say("\n".join(verdicts.summary(runs.own)))

@@ -26,7 +26,7 @@ def main(stage: str, description: str | None) -> NoReturn:
         flow = import_module(f"flows.{stage}")
         params = flow.load(file, *read_overrides(arguments))
         fingerprint.diagnosing_code(model_file=True)
-        with held(arguments.workspace / "reports" / stage / ".lock"):
+        with held(arguments.workspace / "data" / f".{stage}.lock"):
             flow.run(params, arguments.workspace)
 
     guarded(work)

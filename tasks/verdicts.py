@@ -1,6 +1,7 @@
 """How right a statement is about a machine whose causes are known, and the table of such runs."""
 
 import csv
+import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,21 +15,34 @@ SURE = 0.95
 FAILED = "failed"
 
 
-def earlier(path: Path) -> list[dict[str, str]]:
-    """The rows of all runs there were, of every version of the code."""
-    return list(csv.DictReader(read_bytes(path).decode().splitlines())) if path.exists() else []
+class Runs:
+    """The table of all runs, of which this version of the code adds rows; safe to use from several threads."""
 
+    def __init__(self, path: Path, code: str) -> None:
+        self.path, self.code = path, code
+        self._alone = threading.Lock()
 
-def done(path: Path, code: str) -> set[str]:
-    """The cases that this version has diagnosed."""
-    return {row["case"] for row in earlier(path) if row["code"] == code and row["outcome"] != FAILED}
+    @property
+    def every(self) -> list[dict[str, str]]:
+        """The rows of every version."""
+        return list(csv.DictReader(read_bytes(self.path).decode().splitlines())) if self.path.exists() else []
 
+    @property
+    def own(self) -> list[dict[str, str]]:
+        """The rows of this version."""
+        return [row for row in self.every if row["code"] == self.code]
 
-def keep(path: Path, row: Mapping[str, Any]) -> None:
-    """Write one more row, in place of an earlier one of the same code and case."""
-    same = [str(row[name]) for name in KEY]
-    kept = [old for old in earlier(path) if [old[name] for name in KEY] != same]
-    write_table(path, [*kept, row])
+    @property
+    def done(self) -> set[str]:
+        """The cases that this version has diagnosed."""
+        return {row["case"] for row in self.own if row["outcome"] != FAILED}
+
+    def keep(self, row: Mapping[str, Any]) -> None:
+        """Write one more row, in place of an earlier one of the same code and case."""
+        row = {"code": self.code, **row}
+        with self._alone:
+            same = [str(row[name]) for name in KEY]
+            write_table(self.path, [*(old for old in self.every if [old[name] for name in KEY] != same), row])
 
 
 def judged(causes: Sequence[Collection[str]], statement: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def test_every_run_is_kept_and_a_finished_one_is_not_repeated(
     lost = ExternalCase(name="lost", simulator="examples.machines:BALL", recordings=["nowhere/*"], causes=[])
     params = ExternalParams(seed=0, folder=tmp_path, cases=[case([]), lost])
     flow.run(params, tmp_path)
-    ball, nowhere = verdicts.earlier(tmp_path / external.RUNS)
+    ball, nowhere = verdicts.Runs(tmp_path / external.RUNS, "").every
     assert (external.place(tmp_path, params.cases[0]) / "diagnosis.html").is_file()
     assert ball["outcome"] in ("right", "open")  # 45 rows are few
     assert nowhere["outcome"] == "failed"
@@ -38,10 +38,10 @@ def test_every_run_is_kept_and_a_finished_one_is_not_repeated(
     monkeypatch.setattr(flow.fingerprint, "diagnosing_code", lambda **_: "another version")
     other = [{**ball, "code": "an older"}, {**ball, "code": "another "}]
     for row in other:
-        verdicts.keep(tmp_path / external.RUNS, row)
+        verdicts.Runs(tmp_path / external.RUNS, row["code"]).keep(row)
     flow.run(params, tmp_path)
     assert "1 of 2 machines are diagnosed already" in capsys.readouterr().out
-    assert [(row["code"], row["case"]) for row in verdicts.earlier(tmp_path / external.RUNS)] == [
+    assert [(row["code"], row["case"]) for row in verdicts.Runs(tmp_path / external.RUNS, "").every] == [
         (ball["code"], "ball"),
         (ball["code"], "lost"),
         ("an older", "ball"),

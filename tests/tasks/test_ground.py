@@ -20,7 +20,7 @@ def test_every_case_is_a_row_and_a_finished_one_is_not_repeated(
     assert not case.families
     params = GroundParams(seed=0, first=NOTHING_MISSING, cases=1, workers=1)
     flow.run(params, tmp_path)
-    (row,) = verdicts.earlier(tmp_path / ground.RUNS)
+    (row,) = verdicts.Runs(tmp_path / ground.RUNS, "").every
     assert (row["case"], row["machine"], row["kind"]) == (str(NOTHING_MISSING), case.machine.name, "nothing")
     assert row["outcome"] in ("right", "open")
     assert float(row["sure"]) == 0
