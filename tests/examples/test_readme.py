@@ -4,15 +4,14 @@ import json
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 PICTURES = os.environ.get("SIMGAP_PICTURES")
 
 
@@ -45,18 +44,12 @@ def test_the_readmes_diagnosis_is_what_comes_out(place: Path) -> None:
     assert f"falls from {before:.0f} % to {after:.1f} % of the motion" in readme
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed: apt-get install chromium")
-def test_the_readmes_picture_is_of_that_page(place: Path, tmp_path: Path) -> None:
+def test_the_readmes_picture_is_of_that_page(place: Path, tmp_path: Path, browser: Any) -> None:
     """Drawn anew by SIMGAP_PICTURES=docs/pictures python -m pytest -n0 tests/examples/test_readme.py"""
-    from playwright.sync_api import sync_playwright
-
     picture = Path(PICTURES or tmp_path) / "diagnosis.png"
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1000, "height": 600})
-        page.goto((place / "diagnosis.html").as_uri())
-        assert "friction" in page.locator("h1").inner_text()
-        page.screenshot(path=picture)
-        browser.close()
+    page = browser.new_page(viewport={"width": 1000, "height": 600})
+    page.goto((place / "diagnosis.html").as_uri())
+    assert "friction" in page.locator("h1").inner_text()
+    page.screenshot(path=picture)
     assert picture.stat().st_size < 200_000
     assert (ROOT / "docs" / "pictures" / "diagnosis.png").stat().st_size < 200_000

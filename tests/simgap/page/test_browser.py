@@ -1,7 +1,5 @@
 """Pages in a real browser, on a phone and on a desk, by day and by night."""
 
-import shutil
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,6 @@ from examples.record import record
 from simgap.page import check
 from simgap.page.diagnosis import page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SCREENS = {"phone": (390, 844), "desk": (1400, 900)}
 
 CONTRASTS = """() => {
@@ -44,18 +41,6 @@ CUT = """() => [...document.querySelectorAll("header *")]
 
 
 @pytest.fixture(scope="module")
-def driver() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("no chromium is installed: apt-get install chromium")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
 def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Pages of every kind: diagnoses, one with many effects and long names, and a check of recordings."""
     diagnosis, evidence = missing_physics()
@@ -78,11 +63,11 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 @pytest.mark.parametrize("screen", SCREENS)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_page_fits_its_screen_and_can_be_read(
-    driver: Any, documents: dict[str, str], tmp_path: Path, name: str, screen: str, scheme: str
+    browser: Any, documents: dict[str, str], tmp_path: Path, name: str, screen: str, scheme: str
 ) -> None:
     width, height = SCREENS[screen]
     (tmp_path / "page.html").write_text(documents[name])
-    shown = driver.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
+    shown = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
     try:
         shown.goto((tmp_path / "page.html").as_uri())
         shown.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
@@ -98,11 +83,11 @@ def test_a_page_fits_its_screen_and_can_be_read(
 
 
 def test_a_phone_shows_what_is_missing_and_whether_it_helps_without_scrolling(
-    driver: Any, documents: dict[str, str], tmp_path: Path
+    browser: Any, documents: dict[str, str], tmp_path: Path
 ) -> None:
     (tmp_path / "page.html").write_text(documents["missing_physics"])
     width, height = SCREENS["phone"]
-    shown = driver.new_page(viewport={"width": width, "height": height})
+    shown = browser.new_page(viewport={"width": width, "height": height})
     try:
         shown.goto((tmp_path / "page.html").as_uri())
         for words in ("reach limit or saturation", "probability 97 %", "Does it help?", "Yes: held-out error falls"):
