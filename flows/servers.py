@@ -37,7 +37,7 @@ _TAIL_LINES = 15
 _HERE = "127.0.0.1"
 _NAMES = ("prefect", "mlflow", "deployments")
 _NOT_INHERITED = (*NONE, "PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING")
-"""What this command was told of another server, or of none."""
+"""Variables of this command's environment that name another server, or none."""
 
 
 class Server(NamedTuple):

@@ -36,7 +36,7 @@ POWER = 0.9
 """Chance with which an effect of the reported size would have been found."""
 CREDIBLE = 0.95
 """Probability that a credible set holds together."""
-OWED = 8.0
+REQUIRED = 8.0
 """Gain [nats] that an onset or a stretch must add: two numbers, the best of some hundreds tried."""
-OWED_BY_REGIMES = 16.0
+REQUIRED_OF_REGIMES = 16.0
 """Gain [nats] that a regime must add: the best of thousands tried."""

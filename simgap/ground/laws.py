@@ -105,10 +105,10 @@ class Slow(_Plain):
         self.at: Command | None = None
 
     def command(self, sent: Command, h: float) -> Command:
-        self.at = sent.copy() if self.at is None else self.at
-        step, most = sent - self.at, self.limit * h
-        over = np.abs(step) / most
-        moved: Command = self.at + step / (1 + over**self.corner) ** (1 / self.corner)
+        at = sent if self.at is None else self.at
+        step = sent - at
+        over = np.abs(step) / (self.limit * h)
+        moved: Command = at + step / (1 + over**self.corner) ** (1 / self.corner)
         self.at = moved
         return moved
 
@@ -122,10 +122,9 @@ class Ringing(_Plain):
         self.rate: Any = 0.0
 
     def command(self, sent: Command, h: float) -> Command:
-        self.at = sent.copy() if self.at is None else self.at
-        w = self.frequency
-        self.rate = self.rate + h * (w**2 * (sent - self.at) - 2 * self.damping * w * self.rate)
-        moved: Command = self.at + h * self.rate
+        at, w = sent if self.at is None else self.at, self.frequency
+        self.rate = self.rate + h * (w**2 * (sent - at) - 2 * self.damping * w * self.rate)
+        moved: Command = at + h * self.rate
         self.at = moved
         return moved
 

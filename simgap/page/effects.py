@@ -70,7 +70,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         for key, of in (
             ("gain_nats", "on the sessions fitted"),
             ("heldout_gain_nats", "on held-out sessions"),
-            ("misfit_nats", "more on those fitted, were its form free to bend"),
+            ("misfit_nats", "more on the sessions fitted, if its law could bend"),
         )
         if numbers.known(effect.get(key))
     ]

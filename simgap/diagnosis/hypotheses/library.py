@@ -15,6 +15,7 @@ from jaxtyping import Float
 from simgap.diagnosis.hypotheses.features import seen, seen_names
 from simgap.diagnosis.likelihood.filter import Variables, estimates_of
 from simgap.diagnosis.likelihood.problem import Problem
+from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.layout import Layout, X, Y
 
 WAVES = 8
@@ -68,11 +69,15 @@ def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
     now = np.asarray(jax.vmap(jax.vmap(lambda s, u: seen(layout, s, u)))(jnp.asarray(state), jnp.asarray(command)))
     places = state[..., [i for i, _ in _places(layout)]]
     # Commands are known for a while before a chunk, motion is not.
-    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1], command], axis=1)
-    moved = now[..., _moving(layout)]
+    sent, moved = sent_until(chunks), now[..., _moving(layout)]
     fading = np.exp(-problem.scales.time_step / np.array(MEMORIES))
     slow = [m for kept in fading for m in (_mean(sent, kept)[:, -command.shape[1] :], _mean(moved, kept))]
     return np.concatenate([now, places, *slow], axis=-1)
+
+
+def sent_until(chunks: Chunks) -> Float[np.ndarray, "C h+T-1 u"]:
+    """The commands of every row but the last, with those before the chunk, the earliest first."""
+    return np.concatenate([np.asarray(chunks.past)[:, ::-1], np.asarray(chunks.command)[:, :-1]], axis=1)
 
 
 def _moving(layout: Layout) -> list[int]:

@@ -23,7 +23,7 @@ class Member(NamedTuple):
 
     gain: of the set over the set without it [nats]. odds: probability of every effect id that could stand in its place;
     rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. when: it acts then only,
-    if not throughout. misfit: what it would gain besides [nats], were its law free to bend (`relaxation.misfit`).
+    if not throughout. misfit: further gain [nats] if its law could bend (see `relaxation.misfits`).
     """
 
     candidate: Candidate
@@ -58,14 +58,14 @@ def defend(
         rounds.append(tried)
         own = next(t for t in tried.tried if t.candidate is candidate)
         rivals = [t for t in tried.tried if t is not own]
-        owed = chosen.screening.threshold / 2
-        better = _better(reduced, rivals, own, helps, owed)
+        required = chosen.screening.threshold / 2
+        better = _better(reduced, rivals, own, helps, required)
         if better is not None:
             say(f"{better.candidate.name} replaces {candidate.name} ({better.gain - own.gain:+.1f} nats)")
             model = Model(problem, *optimise(problem, better.fit))
             rivals.remove(better)
             own = better
-        if own.beyond < max(owed, least(problem, base, reduced.fit, model.fit)):
+        if own.beyond < max(required, least(problem, base, reduced.fit, model.fit)):
             say(f"{candidate.name} is not needed beside the others")
             model = reduced
         else:
@@ -82,10 +82,10 @@ def _rivals(candidate: Candidate, when_chosen: Screening, candidates: Sequence[C
     return [c for c in candidates if c is candidate or c.name in near]
 
 
-def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps, owed: float) -> Tried | None:
+def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps, required: float) -> Tried | None:
     """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
     ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
-    return next((t for t in ahead if helps(reduced.problem, t, owed)), None)
+    return next((t for t in ahead if helps(reduced.problem, t, required)), None)
 
 
 def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:

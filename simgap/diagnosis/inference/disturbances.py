@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.config import LEAST_SHARE, LEVEL, OWED
+from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED
 from simgap.diagnosis.hypotheses.space import Candidate, behind, within_session
 from simgap.diagnosis.hypotheses.support import PUSH, When, at_start, elsewhere, to_its_end
 from simgap.diagnosis.inference.alternatives import Member, member
@@ -74,7 +74,7 @@ def pushed(
     say(f"{named.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
     others = [behind(c, 1) for c in drifts if c is not named]
     found = [push, *one_more(there, others, rng, say).tried]
-    if len(found) > 1 and found[1].gain > CLEARLY * push.gain + OWED:
+    if len(found) > 1 and found[1].gain > CLEARLY * push.gain + REQUIRED:
         say(f"{found[1].candidate.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")
         found[:2] = found[1], push
         after = Model(there.problem, *optimise(there.problem, found[0].fit))

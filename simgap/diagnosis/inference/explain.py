@@ -17,7 +17,7 @@ from simgap.diagnosis.inference.noise import scatter
 from simgap.diagnosis.inference.nonparametric import no_law, unnamed
 from simgap.diagnosis.inference.onsets import acts_when, begins
 from simgap.diagnosis.inference.posterior import spread
-from simgap.diagnosis.inference.relaxation import misfit
+from simgap.diagnosis.inference.relaxation import misfits
 from simgap.diagnosis.inference.select import search
 from simgap.diagnosis.inference.two_sample import acted_before, behind_gate, differs, leaves, scatter_since
 from simgap.diagnosis.likelihood.linearised import tabulated
@@ -113,11 +113,12 @@ def explain(
         scattered = scatter(problem, fit, found.unseen)
     # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains
     # them better, though it may not hold in all sessions.
-    owed, rejected = LEAST_SHARE * sum(m.gain for m in found.members), found.searched.rounds[-1].rejected
-    scattered = [s for s in scattered if s.gain > (max(owed, rejected) if s.rare else owed)]
+    required, rejected = LEAST_SHARE * sum(m.gain for m in found.members), found.searched.rounds[-1].rejected
+    scattered = [s for s in scattered if s.gain > (max(required, rejected) if s.rare else required)]
     base = base or found.bare(len(baseline))
     law = no_law(found.model, found.unseen) if baseline else unnamed(found.model, found.unseen, rng, say)
-    members = tuple(m._replace(misfit=misfit(found.model, m.candidate)) for m in found.members)
+    bent = misfits(found.model, [m.candidate for m in found.members])
+    members = tuple(m._replace(misfit=gain) for m, gain in zip(found.members, bent, strict=True))
     return Explanation(
         problem, asked.as_is, base.fit, fit, spread(*found.model), members, scattered,
         leaves(problem, fit, len(baseline)), law, found.unseen, found.supports,
@@ -152,15 +153,15 @@ def _look(
 ) -> _Found:
     """Search for effects, each of which then defends its place against its alternatives."""
 
-    def holds_out(problem: Problem, tried: Tried, owed: float) -> bool:
+    def holds_out(problem: Problem, tried: Tried, required: float) -> bool:
         heldout = gain(problem, tabulated(problem, tried.fit.v, unseen), tried.without, tried.fit)
-        return agrees(by_row(tried.without, tried.fit), heldout, problem.chunks, owed)
+        return agrees(by_row(tried.without, tried.fit), heldout, problem.chunks, required)
 
-    def helps(problem: Problem, tried: Tried, owed: float) -> bool:
+    def helps(problem: Problem, tried: Tried, required: float) -> bool:
         # What acts in one session of training only is nothing to the others.
         support = tried.candidate.groups[0].support
         elsewhere = support and not np.asarray(unseen.gate)[:, support - 1].any()
-        holds = elsewhere or holds_out(problem, tried, owed)
+        holds = elsewhere or holds_out(problem, tried, required)
         return holds and (not asked.baseline or differs(problem, tried, asked.baseline))
 
     as_is = asked.as_is

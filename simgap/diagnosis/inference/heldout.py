@@ -12,16 +12,16 @@ from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.layout import Layout
 
 
-def agrees(gained: Float[np.ndarray, " n"], heldout: float, chunks: Chunks, owed: float) -> bool:
+def agrees(gained: Float[np.ndarray, " n"], heldout: float, chunks: Chunks, required: float) -> bool:
     """Whether held-out sessions that gain so many nats agree that something is there, with what fitted rows gain by it.
 
     They do where they gain. Where they lose, which they may by parameters that their motion depends on and the fitted
-    sessions' hardly does, all sessions together must gain what is owed, were the one that speaks most for it left out.
+    sessions' hardly does, all sessions together must gain what is required without the one that speaks most for it.
     """
     if heldout > 0:
         return True
     by_session = np.bincount(rows_of(chunks).session, gained)
-    return float(by_session.sum() - by_session.max()) + heldout > owed
+    return float(by_session.sum() - by_session.max()) + heldout > required
 
 
 def by_row(without: Fit, with_it: Fit) -> Float[np.ndarray, " n"]:

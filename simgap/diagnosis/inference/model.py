@@ -67,7 +67,7 @@ class Tried(NamedTuple):
 
 
 Helps = Callable[[Problem, Tried, float], bool]
-"""Whether sessions that take no part agree that an effect is there, which owes so many nats."""
+"""Whether sessions that take no part agree that an effect is there, which must gain so many nats."""
 
 
 class Round(NamedTuple):
@@ -133,7 +133,7 @@ def settled(gain: float) -> float:
 
 
 def least(problem: Problem, base: Fit, fit: Fit, better: Fit) -> float:
-    """Gain [nats] that a further effect owes: `LEAST_SHARE` of what was gained so far in the outputs it improves."""
+    """Least gain [nats] of a further effect: `LEAST_SHARE` of what was gained so far in the outputs it improves."""
     now, before = (log_density(f.e, f.noise).sum(0) for f in (fit, evaluate(problem, base.v, ())))
     more = np.maximum(log_density(better.e, better.noise).sum(0) - now, 0.0)
     return LEAST_SHARE * float(np.maximum(now - before, 0.0) @ more) / max(float(more.sum()), 1e-9)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from simgap.diagnosis.likelihood.student_t import Noise
 from simgap.types import Field
 
-OWED = 10.0
+REQUIRED = 10.0
 """Least gain [nats]; hypotheses on the scatter have two or three constants each."""
 OTHER = "other_noise"
 """In place of an effect's id: noise that has no name, outliers among it, and misfit of the laws of the mean."""

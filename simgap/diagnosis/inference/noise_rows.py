@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.noise_effect import OTHER, OWED, Scatter
+from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, Scatter
 from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, robot_of, sample_of
 from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
@@ -93,9 +93,9 @@ def _certain(f: Fitted, plain: Fitted, independent: Float[np.ndarray, " n"], sta
     gain = f.density - plain.density
     if f.rare:
         again = np.sort(np.add.reduceat(f.density - independent, starts))[:-ODDEST].sum()
-        return bool(gain.sum() > OWED and again > OWED)
+        return bool(gain.sum() > REQUIRED and again > REQUIRED)
     per_block = np.add.reduceat(gain, starts)
-    return bool(gain.sum() > OWED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
+    return bool(gain.sum() > REQUIRED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
 
 
 def _fit(

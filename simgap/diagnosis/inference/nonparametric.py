@@ -26,9 +26,10 @@ from simgap.diagnosis.likelihood.student_t import log_density, weights
 MOST_TERMS = 4
 AT_ONCE = 64
 """Functions that are weighed at once."""
-OWED = -np.log(LEVEL)
-"""Nats that held-out sessions owe: as many they gain by chance with probability `LEVEL` at most, since a likelihood
-ratio has a mean of one. What the best of ten thousand gains by chance on fitted sessions is not known well enough."""
+REQUIRED = -np.log(LEVEL)
+"""Nats that held-out sessions must gain: by chance they gain as many with probability `LEVEL` at most, since a
+likelihood ratio has a mean of one. What the best of ten thousand gains by chance on fitted sessions is not known well
+enough."""
 RANK = 1e-6
 """Of directions that are fitted together: what lies below this share of the greatest is rounding."""
 
@@ -83,7 +84,7 @@ def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) ->
     found, chosen, held = no_law(model, unseen), [], None
     pushable = rows.echoes and functions  # a simulator may declare no body
     while pushable and len(chosen) < MOST_TERMS:
-        part, p_value, owed = _best(rows, model.fit, functions, chosen, rng)
+        part, p_value, required = _best(rows, model.fit, functions, chosen, rng)
         say(f"a law without a name: p = {p_value:.4f}")
         if p_value > LEVEL:
             break
@@ -92,7 +93,7 @@ def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) ->
         better = _with(rows, held, model.fit, chosen)
         told = f"{part[0].axis} pushed by {' and '.join(part[0].depends_on)}"
         gained, heldout = (_by_row(model.fit, *pair) for pair in zip(found[1:], better[1:], strict=True))
-        if not agrees(gained, float(heldout.sum()) - OWED, model.problem.chunks, owed):
+        if not agrees(gained, float(heldout.sum()) - REQUIRED, model.problem.chunks, required):
             say(f"{told} does not hold on sessions that took no part")
             break
         say(f"{told} ({gained.sum():+.1f} nats)")
@@ -125,7 +126,7 @@ def _by_row(fit: Fit, *innovations: Float[np.ndarray, "n s"]) -> Float[np.ndarra
 def _best(
     rows: _Rows, fit: Fit, functions: Sequence[Function], chosen: Sequence[_Part], rng: np.random.Generator
 ) -> tuple[_Part, float, float]:
-    """The best further term, the chance that noise gives as good a one, and the gain [nats] that one owes."""
+    """The best further term, the chance that noise gives as good a one, and the gain [nats] that is required."""
     root = np.sqrt(weights(fit.e, fit.noise)).astype(np.float32)
     columns = [*rows.absorbing, *(rows.directions(term.axis, [f])[0] for term, f in chosen)]
     basis = basis_of(np.stack([(c * root).reshape(-1) for c in columns]))

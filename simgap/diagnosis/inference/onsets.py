@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.config import LEAST_SHARE, LEVEL, OWED, OWED_BY_REGIMES
+from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.hypotheses.space import Candidate, behind
 from simgap.diagnosis.hypotheses.support import LASTING, When, opened, told
@@ -154,7 +154,7 @@ def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
 
 
 def _owed(when: When) -> float:
-    return OWED if when.regime is None else OWED_BY_REGIMES
+    return REQUIRED if when.regime is None else REQUIRED_OF_REGIMES
 
 
 def _apart(problem: Problem, candidate: Candidate) -> Float[np.ndarray, "n f"]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis.config import DISCREPANCY
-from simgap.diagnosis.hypotheses.library import dictionary, quantities, values
+from simgap.diagnosis.hypotheses.library import dictionary, quantities, sent_until, values
 from simgap.diagnosis.hypotheses.place import Place, place_of
 from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.inference.impulse_response import direction, own_echoes
@@ -121,14 +121,13 @@ def _about_zero(values: Float[np.ndarray, "C T-1"]) -> list[Float[np.ndarray, "C
 
 def _responses(problem: Problem, place: Place) -> list[Float[np.ndarray, "C T-1"]]:
     """Pushes by the commands of the rows before: whatever the response to them is, it is made of these."""
-    chunks, commands = problem.chunks, [f.name for f in problem.augmented.layout.schema.command]
-    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1], np.asarray(chunks.command)[:, :-1]], axis=1)
-    rows = sent.shape[1] - np.asarray(chunks.past).shape[1]
-    found = []
-    for name in place.channels:
-        column = sent[..., commands.index(name)]
-        found += [column[:, column.shape[1] - rows - lag : column.shape[1] - lag] for lag in range(HISTORY_ROWS + 1)]
-    return found
+    commands, sent = [f.name for f in problem.augmented.layout.schema.command], sent_until(problem.chunks)
+    first, end = np.asarray(problem.chunks.past).shape[1], sent.shape[1]
+    return [
+        sent[:, first - lag : end - lag, commands.index(name)]
+        for name in place.channels
+        for lag in range(HISTORY_ROWS + 1)
+    ]
 
 
 def _shifted(own: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "l n s"]:
@@ -154,12 +153,16 @@ def softly(columns: Float[np.ndarray, "K m"], basis: Float[np.ndarray, "m r"]) -
     return columns.T @ (axes * taken / np.sqrt(squared)).astype(np.float32)
 
 
-def misfit(model: Model, effect: Candidate) -> float:
-    """What one of a model's effects would gain [nats], were its law free to bend, beyond what bending gains by chance.
+def misfits(model: Model, effects: Sequence[Candidate]) -> list[float]:
+    """What each of a model's effects would gain in addition [nats] if its law could bend, less what chance gives.
 
     Bending beyond the law's own size is unlikely by the prior, and gains no more than that allows.
     """
-    around = room(model, absorbing(model), [effect])
+    columns = absorbing(model)
+    return [_misfit(room(model, columns, [effect])) for effect in effects]
+
+
+def _misfit(around: Room) -> float:
     r = around.residual.ravel()
     r = r - around.free @ (around.free.T @ r)
     rest = r - around.misfit @ (around.misfit.T @ r)

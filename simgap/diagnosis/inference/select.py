@@ -175,13 +175,13 @@ def search(
     base, chosen, rounds, refitted = rest, [], [], rest.loglik - model.fit.loglik < SETTLED
     while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
         found = one_more(model, candidates, rng, say, chosen)
-        owed = found.screening.threshold / 2
-        worthy = [t for t in found.tried if t.beyond > max(owed, least(model.problem, base, model.fit, t.fit))]
+        required = found.screening.threshold / 2
+        worthy = [t for t in found.tried if t.beyond > max(required, least(model.problem, base, model.fit, t.fit))]
         best = None
         for t in worthy:
             retabulated, best = carried_on(model.problem, t, rest)
-            gains = best is t or best.beyond > max(owed, least(retabulated, base, rest, best.fit))
-            if gains and helps(retabulated, best, owed):
+            gains = best is t or best.beyond > max(required, least(retabulated, base, rest, best.fit))
+            if gains and helps(retabulated, best, required):
                 model = decorrelated(retabulated, best.fit)
                 break
             say(f"{t.candidate.name} does not hold on sessions that took no part" if gains else

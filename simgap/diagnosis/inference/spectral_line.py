@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit
 
 from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.noise_effect import OTHER, OWED, Scatter, Spectrum
+from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, Scatter, Spectrum
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
 
@@ -110,7 +110,7 @@ def _odds(pieces: _Pieces, k: int, output: int, above: float) -> dict[str, float
     power, level = _at(pieces, k, output)
     density = {"gait_oscillation": _of_line(power, level, above), OTHER: np.zeros(len(power))}
     constants = {"gait_oscillation": 2, OTHER: 0}
-    if np.sort(density["gait_oscillation"])[:-1].sum() < OWED:
+    if np.sort(density["gait_oscillation"])[:-1].sum() < REQUIRED:
         return None
     x = np.fft.rfft(pieces.e[:, :, output], axis=1)[:, k]
     for u in np.fft.rfft(pieces.command, axis=1)[:, k].T:
@@ -210,7 +210,7 @@ def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, flo
             above = float(ratio[k] / segments)
             gain = float(segments * (above - 1 - np.log(above)))
             best = (k, j, gain, _amplitude(power[:, j], segments, k), above)
-    return best if best and best[2] > OWED else None
+    return best if best and best[2] > REQUIRED else None
 
 
 def _amplitude(power: Float[np.ndarray, " f"], segments: int, k: int) -> float:
