@@ -7,8 +7,8 @@ if __name__ == "__main__":
 
 import time
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
+from queue import Queue
 
 from prefect.task_runners import ThreadPoolTaskRunner
 
@@ -28,13 +28,17 @@ def run(params: GroundParams, root: Path) -> None:
     wanted, done = range(params.first, params.first + params.cases), runs.done
     left = [number for number in wanted if str(number) not in done]
     progress.say(f"{len(wanted) - len(left)} of {len(wanted)} cases are diagnosed already")
-    pool = ProcessPoolExecutor(params.workers, mp_context=get_context("spawn"))
+    idle: Queue[ProcessPoolExecutor] = Queue()
+    for _ in range(params.workers):
+        idle.put(ground.one_process())
     runner = ThreadPoolTaskRunner(max_workers=params.workers)
-    with progress.bars("ground", len(left), time.monotonic) as bars, pool, runner:
-        common = {"seed": params.seed, "pool": pool, "job": bars.job, "keep": runs.keep}
+    with progress.bars("ground", len(left), time.monotonic) as bars, runner:
+        common = {"seed": params.seed, "idle": idle, "job": bars.job, "keep": runs.keep}
         futures = {number: runner.submit(ground.diagnose_case, {"number": number, **common}) for number in left}
         for number, future in futures.items():
             future.wait()
             if not future.state.is_completed():
                 runs.keep({"case": number} | verdicts.failed(str(future.state.message)))
+    while not idle.empty():
+        idle.get().shutdown()
     progress.say("\n".join(verdicts.summary(runs.own)))

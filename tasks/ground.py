@@ -2,8 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
+from multiprocessing import get_context
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 from prefect import task
@@ -15,15 +18,26 @@ from tasks import verdicts
 
 RUNS = Path("reports/ground/runs.csv")
 Job = Callable[[str, int], AbstractContextManager[Report]]
+Keep = Callable[[Mapping[str, Any]], None]
+
+
+def one_process() -> ProcessPoolExecutor:
+    """A process that diagnoses one case after the other, so that what it compiles serves all of them."""
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"))
 
 
 @task(task_run_name="diagnose-{number}")
-def diagnose_case(
-    number: int, seed: int, pool: ProcessPoolExecutor, job: Job, keep: Callable[[Mapping[str, Any]], None]
-) -> None:
-    """Have a process of the pool diagnose a case, and keep its row of the table."""
-    with job(str(number), 1):
-        keep(pool.submit(diagnosed, number, seed).result())
+def diagnose_case(number: int, seed: int, idle: Queue[ProcessPoolExecutor], job: Job, keep: Keep) -> None:
+    """Have an idle process diagnose a case, and keep its row of the table; one that dies is replaced."""
+    process = idle.get()
+    try:
+        with job(str(number), 1):
+            keep(process.submit(diagnosed, number, seed).result())
+    except BrokenProcessPool:
+        process = one_process()
+        raise
+    finally:
+        idle.put(process)
 
 
 def diagnosed(number: int, seed: int) -> dict[str, Any]:

@@ -1,6 +1,10 @@
 """The stage `ground`: cases of the training ground, diagnosed in processes of their own and scored."""
 
+import os
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from pathlib import Path
+from queue import Queue
 
 import pytest
 
@@ -28,6 +32,19 @@ def test_every_case_is_a_row_and_a_finished_one_is_not_repeated(
     monkeypatch.setattr(flow.ground, "diagnose_case", None)  # nobody is to call it
     flow.run(params, tmp_path)
     assert "1 of 1 cases are diagnosed already" in capsys.readouterr().out
+
+
+def test_a_process_that_dies_is_replaced_and_loses_no_other_case() -> None:
+    dead, idle = ground.one_process(), Queue()
+    with pytest.raises(BrokenProcessPool):
+        dead.submit(os._exit, 1).result()
+    idle.put(dead)
+    job = lambda *_: nullcontext(lambda *_: None)  # noqa: E731
+    with pytest.raises(BrokenProcessPool):
+        ground.diagnose_case.fn(NOTHING_MISSING, 0, idle, job, print)
+    with idle.get() as process:
+        assert process.submit(abs, -1).result() == 1
+    assert idle.empty()
 
 
 def test_the_file_of_parameters_is_whole() -> None:
