@@ -43,6 +43,7 @@ def run(copy: Path) -> Callable[..., str]:
     """Runs a command in the copy; gives what it prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(copy)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # compiled Python lies in the folders that stages depend on
 
     def ran(*command: str) -> str:
         done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=900)

@@ -141,7 +141,7 @@ def test_every_case_is_scored_and_the_report_is_whole(
     }
     assert read_json(examined.metrics).keys() <= set(metrics.HEADLINE.values())
     assert "broke off: 1" in text
-    history = pd.read_csv(examined.history).set_index("score")
+    history = pd.read_csv(examined.history, dtype={"code": str}).set_index("score")
     assert history.index.is_unique  # though it was scored twice
     assert (history.loc["cases that failed", "value"], history.loc["cases that failed", "n"]) == (0.5, 2)
     assert set(history["code"]) == {report.name[:8]}
