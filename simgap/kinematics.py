@@ -116,7 +116,17 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
     return state
 
 
-def rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
+def to_own_frame(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"]) -> Float[Array, " s"]:
+    """A vector of states' differences with its pairs in the world's frame turned into their bodies' own."""
+    return _rotated(layout, vector, state, -1.0)
+
+
+def to_world(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"]) -> Float[Array, " s"]:
+    """The inverse of `to_own_frame`."""
+    return _rotated(layout, vector, state, 1.0)
+
+
+def _rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
     """World-frame horizontal pairs (velocities, positions) turned by sign times the heading of their body."""
     numbers = list(vector)
     for b, heading in enumerate(layout.heading):

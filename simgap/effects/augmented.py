@@ -1,13 +1,13 @@
 """A simulator with all effects of the catalogue at all their sites; with all constants zero it is the simulator.
 
 Laws whose constants are zero are nil, and yet take their time. `active` says which effects act at all, so that the
-others cost nothing. It must be the same for all that is computed side by side, for under `vmap` a condition that
-differs computes both branches.
+others cost nothing to run. It must be the same for all that is computed side by side, for under `vmap` a condition that
+differs computes both branches. `lean` leaves the others out, so that they cost nothing to compile either.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +25,6 @@ from simgap.types import StepModel
 Theta = Float[Array | np.ndarray, " P"]
 """Internal constants of all effects at all sites; numpy's where they are known before any tracing."""
 
-
 Active = Bool[Array, " effects"] | None
 """Which effects of the catalogue act; None: all do."""
 
@@ -40,9 +39,13 @@ class Slot(NamedTuple):
 
 @dataclass(frozen=True)
 class Augmented:
-    """`simulator` with theta, a vector of the internal constants of all effects at all sites; nil at zero."""
+    """`simulator` with theta, a vector of the internal constants of all effects at all sites; nil at zero.
+
+    only: the effects of the catalogue whose laws are computed, whatever their constants; None: all, as they act.
+    """
 
     simulator: StepModel | Engine
+    only: tuple[int, ...] | None = None
 
     @cached_property
     def catalogue(self) -> tuple[Effect, ...]:
@@ -103,8 +106,17 @@ class Augmented:
         """Index in the catalogue of the effect that each entry of theta belongs to."""
         return np.array([slot.effect for slot in self.slots], int)
 
-    def active(self, *thetas: Float[Array | np.ndarray, " P"]) -> Bool[Array, " effects"]:
+    def lean(self, few: int, *thetas: Float[np.ndarray, "... P"]) -> "Augmented":
+        """The same for constants like these: without the laws that are nil in all of them, if no more than a few are
+        not. For each combination of effects a program is compiled, which pays where there are not many."""
+        on = np.any(np.concatenate([theta.reshape(-1, len(self.slots)) for theta in thetas]) != 0, axis=0)
+        acting = tuple(np.unique(self.effect_of[on]).tolist())
+        return self if len(acting) > few else _with_laws(self.simulator, acting)
+
+    def active(self, *thetas: Float[Array | np.ndarray, " P"]) -> Active:
         """The effects that have a constant other than zero in any of these."""
+        if self.only is not None:
+            return None
         on = jnp.any(jnp.stack([jnp.asarray(theta) for theta in thetas]) != 0, axis=0)
         return jnp.zeros(len(self.catalogue), bool).at[self.effect_of].max(on)
 
@@ -117,10 +129,16 @@ class Augmented:
         for i, (effect, sites) in enumerate(zip(self.catalogue, self.sites, strict=True)):
             size = len(effect.constants) * len(sites)
             c = theta[start : start + size].reshape(len(effect.constants), len(sites))
-            if sites and effect.place in places and not (known and not c.any()):
+            left_out = self.only is not None and i not in self.only
+            if sites and effect.place in places and not left_out and not (known and not c.any()):
                 found.append(Law(effect, jnp.asarray(c), None if active is None else active[i]))
             start += size
         return found
+
+
+@lru_cache(maxsize=256)
+def _with_laws(simulator: StepModel | Engine, only: tuple[int, ...]) -> Augmented:
+    return Augmented(simulator, only)
 
 
 class Law(NamedTuple):

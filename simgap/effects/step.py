@@ -60,7 +60,8 @@ def remember(
         return run(memory, sent[HISTORY_ROWS:]).filters
 
     nil = {law.effect.key: past[0] for law in filters}
-    return Memory(past[:HISTORY_ROWS], where(_any(filters), settled, nil), states, forgets)
+    remembered = where(_any(filters), settled, nil) if filters else {}
+    return Memory(past[:HISTORY_ROWS], remembered, states, forgets)
 
 
 def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from examples.car import CAR
 from examples.drive import DRIVE
-from simgap.kinematics import carried_velocity, commanded, motion, push, rotated, turned
+from simgap.kinematics import carried_velocity, commanded, motion, push, to_own_frame, to_world, turned
 from simgap.layout import Layout
 from simgap.simulators.spot import SCHEMA as SPOT_SCHEMA
 from simgap.types import Field, Schema
@@ -259,6 +259,6 @@ def test_what_is_measured_of_a_body_tells_of_what_it_carries_and_of_nothing_else
 @quick
 @given(states, states)
 def test_own_frames_and_back_is_no_turn(state: np.ndarray, vector: np.ndarray) -> None:
-    own = rotated(SPOT, jnp.asarray(vector), jnp.asarray(state), -1.0)
-    np.testing.assert_allclose(rotated(SPOT, own, jnp.asarray(state), 1.0), vector, atol=1e-5)
+    own = to_own_frame(SPOT, jnp.asarray(vector), jnp.asarray(state))
+    np.testing.assert_allclose(to_world(SPOT, own, jnp.asarray(state)), vector, atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(own), np.linalg.norm(vector), rtol=1e-5)

@@ -1,30 +1,27 @@
 """Features of the motion: what regimes are bounded by, and what laws without a name may depend on."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks
-from simgap.effects.regime import Regime, holds, values
+from simgap.effects.regime import Regime, values
 from simgap.kinematics import motion
 from simgap.layout import Layout
+from simgap.rows import by_row
 
 
 def of_rows(layout: Layout, chunks: Chunks) -> Float[np.ndarray, "n f"]:
     """The features of every row that counts, at the beginning of the step to it."""
     counts = np.asarray(chunks.counts)
     state, command = (np.asarray(a)[:, :-1][counts] for a in (chunks.state, chunks.command))
-    return np.asarray(_every(layout, state, command))
-
-
-def _every(layout: Layout, state: Float[np.ndarray, "n s"], command: Float[np.ndarray, "n u"]) -> Float[Array, "n f"]:
-    return jax.vmap(lambda s, u: values(layout, s, u))(jnp.asarray(state), jnp.asarray(command))
+    return by_row(values, layout, state, command)
 
 
 def inside(layout: Layout, regime: Regime, chunks: Chunks) -> Bool[np.ndarray, "C T"]:
     """The rows of chunks that are in the regime."""
-    return np.asarray(jax.vmap(jax.vmap(lambda s, u: holds(layout, regime, s, u)))(chunks.state, chunks.command))
+    feature = by_row(values, layout, np.asarray(chunks.state), np.asarray(chunks.command))[..., regime.feature]
+    return regime.side * (feature - regime.edge) > 0
 
 
 def seen(layout: Layout, state: Float[Array, " s"], command: Float[Array, " u"]) -> Float[Array, " n"]:

@@ -7,16 +7,15 @@ from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement, pairwise, permutations
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.features import seen, seen_names
-from simgap.diagnosis.likelihood.filter import Variables, estimates_of
-from simgap.diagnosis.likelihood.problem import Problem
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.layout import Layout, X, Y
+from simgap.rows import by_row
 
 WAVES = 8
 """Half waves of one quantity over its range, at most;"""
@@ -64,9 +63,9 @@ def quantities(layout: Layout) -> list[Quantity]:
 def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
     """All quantities in every row of the chunks: of the state, as it is estimated."""
     layout, chunks = problem.augmented.layout, problem.chunks
-    state = np.asarray(estimates_of(problem.augmented, problem.scales, v, chunks))
+    state = estimates(problem, v)
     command = np.asarray(chunks.command)[:, :-1]
-    now = np.asarray(jax.vmap(jax.vmap(lambda s, u: seen(layout, s, u)))(jnp.asarray(state), jnp.asarray(command)))
+    now = by_row(seen, layout, state, command)
     places = state[..., [i for i, _ in _places(layout)]]
     # Commands are known for a while before a chunk, motion is not.
     sent, moved = sent_until(chunks), now[..., _moving(layout)]

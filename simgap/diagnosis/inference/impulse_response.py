@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import candidates
 from simgap.diagnosis.inference.null_distribution import Evidence
-from simgap.diagnosis.likelihood.filter import Variables, estimates_of
-from simgap.diagnosis.likelihood.problem import Group, Problem, raw_innovations, side_by_side, with_value
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_innovations, side_by_side, with_value
 from simgap.layout import X, Y
 
 ROWS = 8
@@ -41,7 +41,7 @@ def own_echoes(problem: Problem, v: Variables, axes: Collection[str] | None = No
 def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
     """Along the bodies' own axes, and along the world's where a body that turns moves over the ground."""
     own, layout, world = own_echoes(problem, v), problem.augmented.layout, {}
-    state = np.asarray(estimates_of(problem.augmented, problem.scales, v, problem.chunks))
+    state = estimates(problem, v)
     for b, body in enumerate(layout.bodies):
         heading, names = layout.heading[b], layout.outputs(b, (X, Y))
         if heading is not None and len(names) == 2 and all(name in own for name in names):

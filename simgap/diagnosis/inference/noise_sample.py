@@ -3,8 +3,6 @@
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -14,6 +12,7 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_inno
 from simgap.effects.augmented import Slot
 from simgap.kinematics import motion
 from simgap.layout import Layout
+from simgap.rows import by_row
 
 STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Further nominal intervals that a late row may contain."""
@@ -95,7 +94,7 @@ def sample_of(problem: Problem, fit: Fit) -> Sample:
     state[..., :outputs] -= raw_innovations(problem, fit.v)
     state = state[counts]
     speed, moves = np.maximum(scales.speed, 1e-6), scales.speed > 1e-6
-    squared = np.asarray(jax.vmap(lambda s: (motion(layout, s).velocity / speed) ** 2 * moves)(jnp.asarray(state)))
+    squared = (by_row(motion, layout, state).velocity / speed) ** 2 * moves
     each = squared.sum(2) / np.maximum(moves.sum(1), 1)
     whole = squared.mean((1, 2)) if layout.bodies else np.zeros(len(state))
     moving = np.sqrt(np.column_stack([whole, each]))

@@ -11,6 +11,9 @@ from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, sid
 
 BATCH = 16
 """Directions whose derivatives are computed side by side: one number, for each is compiled anew."""
+FEW = 0
+"""Effects at most for which the program of derivatives leaves out the others: that of one friction alone takes half as
+long to compile as that of all laws, and a search tries many combinations."""
 STEP = 0.02
 """Of a constant's size and scale: the step of its central differences."""
 PHI_STEP = 1e-3
@@ -23,13 +26,13 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
     As differences where a derivative is not finite, as that of a root at zero; zero where these are not either.
     """
     free, _ = directions(problem, ())
-    count = len(free.phi)
+    count, lean = len(free.phi), problem.augmented.lean(FEW, v.theta, v.delta)
 
     def batch(first: int) -> np.ndarray:
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + BATCH), count - 1)
         along = free.phi[index], free.gain[index], free.cross[index]
-        raw = tangents(problem.augmented, problem.scales, v, along, problem.chunks)
+        raw = tangents(lean, problem.scales, v, along, problem.chunks)
         return decorrelate(problem, raw)[: count - first]
 
     columns = np.concatenate(side_by_side(batch, range(0, count, BATCH)))

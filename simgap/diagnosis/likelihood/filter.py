@@ -24,8 +24,9 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.segments import Chunks, bare
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
-from simgap.effects.step import advance, follow, remember, sense, unsense
-from simgap.kinematics import rotated, wrapped
+from simgap.effects.step import follow, unsense
+from simgap.effects.traced import advance, remember, sense
+from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 
 
@@ -41,14 +42,9 @@ class Variables(NamedTuple):
     delta: Float[np.ndarray, "S P"]
 
 
-def wrap(augmented: Augmented, difference: Float[Array | np.ndarray, "... s"]) -> Float[Array, "... s"]:
-    """Differences of states, those of angles between -pi and pi."""
-    return wrapped(augmented.layout, jnp.asarray(difference))
-
-
 def innovation(augmented: Augmented, y: Float[Array, "... s"], seen: Float[Array, "... s"]) -> Float[Array, "... s"]:
     """Measured less predicted; zero for states that are not measured."""
-    e, observed = wrap(augmented, y - seen), augmented.layout.observed
+    e, observed = wrapped(augmented.layout, y - seen), augmented.layout.observed
     return e if observed.all() else jnp.where(observed, e, 0.0)
 
 
@@ -66,7 +62,7 @@ def corrected(
     layout: Layout, K: Float[Array, "s s"], x: Float[Array, " s"], e: Float[Array, " s"]
 ) -> Float[Array, " s"]:
     """x + K e, with K in the bodies' own frames."""
-    return x + rotated(layout, K @ rotated(layout, e, x, -1.0), x, 1.0)
+    return x + to_world(layout, K @ to_own_frame(layout, e, x), x)
 
 
 def acting(v: Variables, theta: Theta, gate: Sequence[Float[Array, ""]] | Float[Array, " S"]) -> Theta:
@@ -98,8 +94,13 @@ def _chunk(
             seen = sense(augmented, theta, after, foretold, here._replace(time_s=next_s), active)
             return after, foretold, innovation(augmented, y_next, seen)
 
-        after, foretold, e = step(v.theta)
-        told = e if other is None else step(other)[2]
+        if other is None:
+            after, foretold, e = step(v.theta)
+            told = e
+        else:
+            # One after the other: compiled once.
+            both = jax.lax.map(step, jnp.stack([v.theta, other]))
+            (after, foretold, e), told = jax.tree.map(lambda a: a[0], both), both[2][1]
         return (after, corrected(augmented.layout, K, foretold, e)), (x, told[: len(augmented.layout.schema.outputs)])
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
@@ -107,29 +108,16 @@ def _chunk(
     return jax.lax.scan(row, (memory, first), rows)[1]
 
 
-def _all(augmented: Augmented, scales: Scales, v: Variables, active: Active, chunks: Chunks) -> Float[Array, "C T-1 o"]:
-    _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
-    return jnp.where(chunks.counts[..., None], e, 0.0)
-
-
 @partial(jax.jit, static_argnames="augmented")
-def innovations_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 o"]:
-    """Innovations of the observed outputs in their units, zero in rows that do not count."""
-    return _all(augmented, scales, v, augmented.active(v.theta, *v.delta), chunks)
+def filtered(
+    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks
+) -> tuple[Float[Array, "C T-1 s"], Float[Array, "C T-1 o"]]:
+    """The estimates that the steps begin with, and the innovations of the observed outputs in their units.
 
-
-@partial(jax.jit, static_argnames="augmented")
-def innovations_from(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 o"]:
-    """Innovations from the first row of each segment on, run-in and all."""
+    Of all rows, those that do not count as well.
+    """
     active = augmented.active(v.theta, *v.delta)
-    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[1])(bare(chunks))
-
-
-@partial(jax.jit, static_argnames="augmented")
-def estimates_of(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 s"]:
-    """The estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
-    active = augmented.active(v.theta, *v.delta)
-    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk)[0])(bare(chunks))
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
@@ -169,10 +157,11 @@ def tangents(
     chunks: Chunks,
 ) -> Float[Array, "M C T-1 o"]:
     """Derivatives of the innovations along M directions in phi and K (its diagonal, its other entries)."""
-    active = augmented.active(v.theta, *v.delta)
+    active, counts = augmented.active(v.theta, *v.delta), chunks.counts[..., None]
 
-    def along(*direction: Float[Array, " k"]) -> Float[Array, "C T-1 o"]:
-        at = lambda p, g, c: _all(augmented, scales, v._replace(phi=p, gain=g, cross=c), active, chunks)  # noqa: E731
-        return jax.jvp(at, (v.phi, v.gain, v.cross), direction)[1]
+    def at(phi: Float[Array, " p"], gain: Float[Array, " s"], cross: Float[Array, " c"]) -> Float[Array, "C T-1 o"]:
+        moved = v._replace(phi=phi, gain=gain, cross=cross)
+        _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, moved, active, chunk))(bare(chunks))
+        return jnp.where(counts, e, 0.0)
 
-    return jax.vmap(along)(*directions)
+    return jax.vmap(lambda *along: jax.jvp(at, (v.phi, v.gain, v.cross), along)[1])(*directions)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from simgap.diagnosis.likelihood.filter import Variables, acting, estimates_of, sent_of
+from simgap.diagnosis.likelihood.filter import Variables, acting, filtered, sent_of
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.effects.stepping import terms_of
@@ -18,7 +18,7 @@ def tabulated(problem: Problem, v: Variables, chunks: Chunks) -> Chunks:
     if not is_engine(augmented.simulator):
         return chunks
     chunks = chunks._replace(table=None)
-    state, command = estimates_of(augmented, problem.scales, v, chunks), sent_of(augmented, v, chunks)
+    (state, _), command = filtered(augmented, problem.scales, v, chunks), sent_of(augmented, v, chunks)
     gates = jnp.swapaxes(chunks.gate[..., :-1], 1, 2)
     terms = jax.vmap(jax.vmap(lambda gate: terms_of(augmented, acting(v, v.theta, gate))))(gates)
     assert terms is not None  # an engine has them

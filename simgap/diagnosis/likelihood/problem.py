@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.likelihood.filter import Variables, alone, innovations_of
+from simgap.diagnosis.likelihood.filter import Variables, alone, filtered
 from simgap.diagnosis.likelihood.segments import Chunks, counted
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
 from simgap.effects.augmented import Augmented
@@ -22,6 +22,8 @@ NEAR = 0.5
 tables and engine differed by thousands of nats."""
 TRUSTED = 0.5
 """Share of an innovation that a fit begins with trusting a measurement."""
+FEW = 2
+"""Effects at most for which the program of single rows leaves out the others: what was found, and what is asked."""
 THREADS = 2
 """Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
 
@@ -125,7 +127,13 @@ def with_value(v: Variables, group: Group, value: float) -> Variables:
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
     """Innovations in the observed outputs' own units, zero in rows that do not count."""
-    return np.asarray(innovations_of(problem.augmented, problem.scales, v, problem.chunks))
+    _, e = filtered(problem.augmented, problem.scales, v, problem.chunks)
+    return np.where(np.asarray(problem.chunks.counts)[..., None], e, np.float32(0))
+
+
+def estimates(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
+    """Estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
+    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks)[0])
 
 
 def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:
@@ -138,7 +146,8 @@ def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n 
 
 def row_trials(problem: Problem, v: Variables, thetas: Sequence[Float[np.ndarray, " P"]]) -> Float[np.ndarray, "M n s"]:
     """Decorrelated innovations of every row, had its step alone been taken with other constants of the effects."""
-    one = lambda theta: alone(problem.augmented, problem.scales, v, theta, problem.chunks)  # noqa: E731
+    lean = problem.augmented.lean(FEW, v.theta, v.delta, *thetas)
+    one = lambda theta: alone(lean, problem.scales, v, theta, problem.chunks)  # noqa: E731
     return np.stack(side_by_side(lambda theta: decorrelate(problem, one(theta)), thetas))
 
 

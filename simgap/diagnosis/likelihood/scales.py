@@ -1,6 +1,7 @@
 """Magnitudes of a recording set: the scales at which effects are looked for."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from simgap.effects.effect import Scales, axis_indices, floored, reaching
 from simgap.effects.stepping import efforts
 from simgap.engines import Engine, is_engine
 from simgap.kinematics import motion
+from simgap.rows import by_row
 from simgap.simulators.tables import by_effort
 from simgap.types import Recording, StepModel
 
@@ -28,8 +30,7 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
     states = np.concatenate([r.state for r in recordings])
     commands = np.concatenate([r.command for r in recordings])
     changes = np.abs(np.concatenate([np.diff(r.command, axis=0) for r in recordings]))
-    own = jax.vmap(lambda s: motion(layout, s))(jnp.asarray(states, jnp.float32))
-    velocity, position = np.asarray(own.velocity), np.asarray(own.position)
+    velocity, position, _ = by_row(motion, layout, states)
     b, a = np.array(axis_indices(layout), int).reshape(-1, 2).T
     return Scales(
         command=_usual(commands),
@@ -69,7 +70,7 @@ def _axis_commands(
     changes = np.concatenate([np.diff(part, axis=0) for part in np.split(velocity, ends)])
     if is_engine(augmented.simulator):
         return _usual_efforts(augmented.simulator, augmented, recordings, changes)
-    response = _response(augmented.simulator, jnp.asarray(augmented.nominal))
+    response = np.asarray(_response(augmented.simulator, jnp.asarray(augmented.nominal)))
     sizes = []
     for b, a in axis_indices(layout):
         column = layout.command[b, a]
@@ -84,10 +85,11 @@ def _axis_commands(
     return np.array(sizes)
 
 
-def _response(simulator: StepModel, phi: Float[Array, " p"]) -> Float[np.ndarray, "s u"]:
+@partial(jax.jit, static_argnames="simulator")
+def _response(simulator: StepModel, phi: Float[Array, " p"]) -> Float[Array, "s u"]:
     """Derivatives of the next state at rest by the commands."""
     rest, still = jnp.zeros(len(simulator.schema.state)), jnp.zeros(len(simulator.schema.command))
-    return np.asarray(jax.jacfwd(lambda u: simulator.step(phi, rest, u))(still))
+    return jax.jacfwd(lambda u: simulator.step(phi, rest, u))(still)
 
 
 def _usual_efforts(

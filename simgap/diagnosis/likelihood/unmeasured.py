@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, estimates_of, innovations_from
-from simgap.diagnosis.likelihood.problem import Problem
+from simgap.diagnosis.likelihood.filter import Variables, filtered
+from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
@@ -53,7 +53,7 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
     """Recordings with what a fitted model makes of the states that they lack."""
     hidden = ~problem.augmented.layout.observed
     chunks = chunks._replace(state=fitted_starts(problem, v, chunks))
-    x = np.asarray(estimates_of(problem.augmented, problem.scales, v, chunks))
+    x = estimates(problem._replace(chunks=chunks), v)
     x = np.where(np.isfinite(x), x, np.asarray(chunks.state)[:, :-1])
     states = [np.array(r.state) for r in recordings]
     for chunk, (session, first) in enumerate(zip(chunks.session, chunks.row, strict=True)):
@@ -67,7 +67,7 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
 
 def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T s"]:
     """States of the segments, the first row's unmeasured ones by one step of weighted least squares."""
-    raw = innovations_from(problem.augmented, problem.scales, v, chunks)
+    _, raw = filtered(problem.augmented, problem.scales, v, chunks)
     size = 1.4826 * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
     moved = _steps(problem.augmented, problem.scales, v, chunks, jnp.asarray(1 / np.maximum(size, 1e-12)))
     state = np.array(chunks.state)
@@ -86,7 +86,7 @@ def _steps(
         def e(start: Float[Array, " k"]) -> Float[Array, " n"]:
             state = chunk.state.at[0, hidden].set(start)
             nested = jax.tree.map(lambda a: a[None], chunk._replace(state=state))
-            return (innovations_from(augmented, scales, v, nested)[0] * weight).ravel()
+            return (filtered(augmented, scales, v, nested)[1][0] * weight).ravel()
 
         start = chunk.state[0, hidden]
         J, missed = jax.jacfwd(e)(start), e(start)

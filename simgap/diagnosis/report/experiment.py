@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -15,6 +13,7 @@ from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut,
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.validation.forecast import Contestant, Regimes, forecast
 from simgap.kinematics import motion
+from simgap.rows import by_row
 from simgap.types import Recording
 
 SECONDS = 6.0
@@ -173,9 +172,7 @@ def _within(
     possible = np.asarray(np.isfinite(states).all((1, 2)) & _in_range(states[..., fast], every[:, fast]))
     if not any(c is not None for c in layout.carrier):
         return possible
-    own = jax.jit(jax.vmap(lambda s: motion(layout, s).position))
-    recorded = np.asarray(own(jnp.asarray(every, jnp.float32)))
-    positions = np.asarray(own(jnp.asarray(states.reshape(-1, states.shape[-1]))))
+    recorded, positions = (by_row(motion, layout, x).position for x in (every, states))
     kept = _in_range(positions.reshape(*states.shape[:2], -1), recorded.reshape(len(recorded), -1))
     return possible & kept
 

@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -15,7 +14,8 @@ from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.report.experiment import Experiment
 from simgap.diagnosis.report.localisation import Excess
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
-from simgap.kinematics import rotated
+from simgap.kinematics import to_own_frame
+from simgap.rows import by_row
 from simgap.types import Recording
 
 BINS = 16
@@ -35,14 +35,14 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
     without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
     layout, state = problem.augmented.layout, counted(problem.chunks, np.asarray(problem.chunks.state)[:, :-1])
     # In the bodies' own frames, as commands are: in the world's what they do depends on where the robot looks.
-    own = jax.vmap(lambda e, s: rotated(layout, e, s, -1.0))
-    raw = [np.asarray(own(counted(problem.chunks, raw_innovations(problem, v)), state)) for v in (without, fit.v)]
+    seen = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
+    raw = [by_row(to_own_frame, layout, e, state) for e in seen]
     law = raw[0] - raw[1]
     noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
     output = int(np.argmax((law**2).mean(0) / noise**2))
     field = layout.schema.state[output]
-    unit = jnp.eye(len(law[0]))[output]
-    frame = ", in its own frame" if (rotated(layout, unit, jnp.ones_like(unit), 1.0) != unit).any() else ""
+    unit = np.eye(law.shape[1])[[output]]
+    frame = ", in its own frame" if (by_row(to_own_frame, layout, unit, np.ones_like(state[:1])) != unit).any() else ""
     features, names, units = _features(problem, found)
     best = max(range(len(names)), key=lambda k: _told_by(features[:, k], law[:, output]))
     x, y, left = features[:, best], law[:, output], raw[1][:, output]
@@ -124,7 +124,7 @@ def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Cont
     if pieces is None:
         return []
     busiest = int(np.argmax(_activity(recording, pieces, steps)))
-    one = jax.tree.map(lambda a: a[busiest : busiest + 1], pieces)
+    one = jax.tree.map(lambda a: np.asarray(a)[busiest : busiest + 1], pieces)
     predicted = {name: forecast(problem, c, one)[0] for name, c in contestants.items()}
     time = np.asarray(one.time_s)[0, RUN_IN + 1 :]
     measured = np.asarray(one.state)[0, RUN_IN + 1 :]

@@ -5,7 +5,6 @@ last commands, in each body's own frame. It names nothing; it measures how much 
 witness where the vocabulary has no word.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -14,11 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from simgap.diagnosis.hypotheses.features import seen, seen_names
-from simgap.diagnosis.likelihood.filter import Variables, estimates_of
-from simgap.diagnosis.likelihood.problem import Problem, raw_innovations
+from simgap.diagnosis.likelihood.filter import Variables
+from simgap.diagnosis.likelihood.problem import Problem, estimates, raw_innovations
 from simgap.diagnosis.likelihood.segments import counted
-from simgap.kinematics import rotated
+from simgap.kinematics import to_own_frame, to_world
 from simgap.layout import Layout
+from simgap.rows import by_row
 
 COMMANDS = 4
 """Rows of commands it sees: the present one and those before."""
@@ -64,11 +64,16 @@ def _features(box: BlackBox, z: Float[Array, " d"]) -> Float[Array, " k"]:
     return jnp.concatenate([jnp.ones(1), z / 3, wave])
 
 
+@jax.jit
+def _every_row(box: BlackBox, z: Float[Array, "n d"]) -> Float[Array, "n k"]:
+    return jax.vmap(_features, (None, 0))(box, z)
+
+
 def correct(
     layout: Layout, box: BlackBox, state: Float[Array, " s"], commands: Float[Array, "k u"]
 ) -> Float[Array, " s"]:
     """What the box adds to the next state."""
-    return rotated(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state, 1.0)
+    return to_world(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state)
 
 
 def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n k u"]]:
@@ -78,24 +83,18 @@ def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Flo
     innovation as well, and none after it.
     """
     chunks, counts = problem.chunks, np.asarray(problem.chunks.counts)
-    x = np.asarray(estimates_of(problem.augmented, problem.scales, v, chunks))
+    x = estimates(problem, v)
     sent = np.concatenate([np.asarray(chunks.past)[:, ::-1][:, -COMMANDS:], np.asarray(chunks.command)[:, :-1]], axis=1)
     last = np.stack([sent[:, COMMANDS - k : sent.shape[1] - k] for k in range(COMMANDS)], axis=2)
     return x[counts], last[counts]
-
-
-@partial(jax.jit, static_argnames="layout")
-def _by_row(layout: Layout, x: Array, sent: Array, e: Array) -> tuple[Float[Array, "n d"], Float[Array, "n s"]]:
-    own = jax.vmap(lambda e, s: rotated(layout, e, s, -1.0))(e, x)
-    return jax.vmap(lambda s, u: inputs(layout, s, u))(x, sent), own
 
 
 def _design(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
     """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
     e = counted(problem.chunks, raw_innovations(problem, v))
     e = np.pad(e, ((0, 0), (0, len(problem.augmented.layout.observed) - e.shape[1])))
-    z, target = _by_row(problem.augmented.layout, *_seen(problem, v), e)
-    return np.asarray(z), np.asarray(target)
+    layout, (x, sent) = problem.augmented.layout, _seen(problem, v)
+    return by_row(inputs, layout, x, sent), by_row(to_own_frame, layout, e, x)
 
 
 def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
@@ -113,7 +112,7 @@ def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
             jnp.asarray(rng.normal(size=(z.shape[1], FEATURES)) / width, jnp.float32),
             jnp.asarray(rng.uniform(0, 2 * np.pi, FEATURES), jnp.float32), jnp.zeros((0, 0)),
         )  # fmt: skip
-        features = np.asarray(jax.vmap(lambda r, box=box: _features(box, r))(jnp.asarray(z)), np.float64)
+        features = np.asarray(_every_row(box, z), np.float64)
         errors = _cross_validated(features, target, fold)
         ridge = min(errors, key=lambda r: errors[r])
         if errors[ridge] < best[0]:
@@ -145,5 +144,7 @@ def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray
     """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
     counts, layout = np.asarray(problem.chunks.counts), problem.augmented.layout
     said = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
-    said[counts] = jax.vmap(lambda s, u: correct(layout, box, s, u))(*map(jnp.asarray, _seen(problem, v)))
+    x, sent = _seen(problem, v)
+    added = np.asarray(_every_row(box, by_row(inputs, layout, x, sent)) @ box.weights)
+    said[counts] = by_row(to_world, layout, added, x)
     return said

@@ -16,11 +16,15 @@ from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
-from simgap.effects.step import advance, remember, sense, unsense
+from simgap.effects.step import unsense
+from simgap.effects.traced import advance, remember, sense
 from simgap.types import Recording
 
 PIECES, SEGMENT = 64, 10
 """Pieces, and rows of them, that are computed at once: one size whatever the horizon, for each is compiled anew."""
+
+FEW = 1
+"""Effects at most for which the program of forecasts leaves out the others: it has no more than was found."""
 
 
 def windows(recordings: Sequence[Recording], time_step: float, horizon: int, stride: int) -> Chunks | None:
@@ -54,7 +58,7 @@ def forecast(problem: Problem, model: Contestant, pieces: Chunks) -> Float[np.nd
 
     What has a support acts where its gate is open and the robot is, as predicted, in its regime.
     """
-    augmented, scales = problem.augmented, problem.scales
+    augmented, scales = problem.augmented.lean(FEW, model.v.theta, model.v.delta), problem.scales
     model = model if model.box is not None else model._replace(box=silent(augmented.layout))
     count = len(pieces.row)
     parts = []

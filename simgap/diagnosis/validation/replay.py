@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from simgap.diagnosis.likelihood.filter import wrap
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
+from simgap.kinematics import wrapped
+from simgap.rows import by_row
 from simgap.types import Recording
 
 LONGEST_S = 5.0
@@ -28,7 +29,7 @@ def replay(problem: Problem, contestants: Mapping[str, Contestant], pieces: Chun
     fields = [(i, f) for i, f in enumerate(simulator.schema.outputs) if f.kind in ("position", "angle")]
     measured = np.asarray(pieces.state)[:, RUN_IN + 1 :]
     missed = {
-        name: np.asarray(wrap(problem.augmented, measured - forecast(problem, model, pieces)))
+        name: by_row(wrapped, problem.augmented.layout, measured - forecast(problem, model, pieces))
         for name, model in contestants.items()
     }
     errors = {name: np.sqrt(np.mean(np.square(e, dtype=float), axis=(0, 1))) for name, e in missed.items()}

@@ -4,7 +4,6 @@ Intervals are a bootstrap over pieces of the held-out sessions (whole sessions w
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,19 +11,20 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from simgap.diagnosis.config import LEAST_SESSIONS, LEAST_SHARE, LEVEL, MARGIN
-from simgap.diagnosis.likelihood.filter import wrap
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
+from simgap.diagnosis.validation.bootstrap import Draws, averages, averages_known, interval, resample
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
+from simgap.kinematics import wrapped
 from simgap.layout import Layout, X, Y, Z
+from simgap.rows import by_row
 from simgap.types import Recording
 
 HORIZONS = (1, 10, 50)
 LEAST_ROWS = RUN_IN + max(HORIZONS) + 1
 """Rows of the shortest session that can be judged at all horizons."""
 STRIDE = 5
-DRAWS = 1000
 RUN = 10
 """Pieces of one run, where sessions are too few to be the units; at least, see `_unit`."""
 
@@ -65,12 +65,13 @@ def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chu
 
 def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
     """What forecasts miss; their likelihood is still open."""
+    layout = problem.augmented.layout
     predicted, measured = forecast(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
-    outputs = problem.augmented.layout.observed
-    error = np.asarray(wrap(problem.augmented, measured[:, steps] - predicted[:, steps]))[..., outputs]
+    outputs = layout.observed
+    error = by_row(wrapped, layout, measured[:, steps] - predicted[:, steps])[..., outputs]
     start = np.asarray(pieces.state)[:, -measured.shape[1] - 1]
-    moved = np.asarray(wrap(problem.augmented, measured[:, steps] - start[:, None]))[..., outputs]
+    moved = by_row(wrapped, layout, measured[:, steps] - start[:, None])[..., outputs]
     return Judged(error, moved, np.full(len(error), np.nan), pieces.session)
 
 
@@ -89,40 +90,33 @@ def _measured(pieces: Chunks) -> np.ndarray:
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
     """Held-out scores with 95 % intervals: nll_1, error_h (a share of the motion over h steps), metres per body."""
-    draws = resample(judged.session, rng)
-    table = {"nll_1": _interval(lambda i: float(np.nanmean(judged.nll[i])), draws)}
+    draws = resample(_unit(judged.session), rng)
+    table = {"nll_1": interval(averages_known(judged.nll, draws))}
     for k in range(judged.error.shape[1]):
-        table[f"error_{HORIZONS[k]}"] = _interval(partial(_share_missed, judged, k), draws)
+        table[f"error_{HORIZONS[k]}"] = interval(_share_missed(judged, k, draws))
     last = judged.error.shape[1] - 1
     for b, body in enumerate(layout.bodies):
         axes = [int(i) for i in layout.position[b, [X, Y, Z]] if i >= 0]
         if axes:
-            name = f"error_{HORIZONS[last]}_{body} [m]"
-            table[name] = _interval(partial(_distance, judged, last, axes), draws)
+            # Mean distance between predicted and measured position.
+            distance = np.linalg.norm(judged.error[:, last][:, axes], axis=-1)
+            table[f"error_{HORIZONS[last]}_{body} [m]"] = interval(averages(distance[:, None], draws)[:, 0])
     return table
 
 
-def _share_missed(judged: Judged, k: int, i: np.ndarray, outputs: Sequence[int] | None = None) -> float:
-    """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than standing still."""
+def _share_missed(
+    judged: Judged, k: int, draws: Draws | None = None, outputs: Sequence[int] | None = None
+) -> Float[np.ndarray, " draws"]:
+    """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than standing still.
+
+    The errors of all pieces, or of draws of them, by the motion of all. Infinite where a forecast exploded.
+    """
     chosen = slice(None) if outputs is None else list(outputs)
-    with np.errstate(over="ignore"):  # a forecast that exploded
-        error = (judged.error[i, k][:, chosen] ** 2).mean(0)
+    draws = np.ones((1, len(judged.session))) if draws is None else draws
+    with np.errstate(over="ignore"):
+        error = averages(judged.error[:, k][:, chosen] ** 2, draws)
     moved = np.maximum((judged.moved[:, k][:, chosen] ** 2).mean(0), 1e-12)
-    share = float(np.sqrt((error / moved).mean()))
-    return np.inf if np.isnan(share) else share
-
-
-def _distance(judged: Judged, k: int, axes: Sequence[int], i: np.ndarray) -> float:
-    """Mean distance between predicted and measured position [m]."""
-    return float(np.linalg.norm(judged.error[i, k][:, list(axes)], axis=-1).mean())
-
-
-def resample(session: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-    """Index sets: all pieces, then bootstrap draws of sessions, or of runs of ten pieces where sessions are few."""
-    unit = _unit(session)
-    members = [np.flatnonzero(unit == u) for u in np.unique(unit)]
-    drawn = [np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))]) for _ in range(DRAWS)]
-    return [np.arange(len(session)), *drawn]
+    return np.sqrt((error / moved).mean(1))
 
 
 def _unit(session: np.ndarray, horizon: int = 1) -> np.ndarray:
@@ -135,16 +129,9 @@ def _unit(session: np.ndarray, horizon: int = 1) -> np.ndarray:
     return session * 10**6 + np.arange(len(session)) // max(RUN, -(-2 * horizon // STRIDE))
 
 
-def _interval(statistic, draws: list[np.ndarray]) -> dict[str, Any]:
-    values = [statistic(i) for i in draws]
-    # Of draws themselves: between a finite one and one that exploded there is nothing.
-    low, high = np.nanquantile(values[1:], [0.025, 0.975], method="nearest")
-    return {"value": values[0], "ci95": [float(low), float(high)]}
-
-
 def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]:
     """Mean of a's nll less b's [nats a row], paired, with its interval: above zero where b is better."""
-    return _interval(lambda i: float(np.nanmean(a.nll[i] - b.nll[i])), resample(a.session, rng))
+    return interval(averages_known(a.nll - b.nll, resample(_unit(a.session), rng)))
 
 
 def horizons(judged: Judged) -> tuple[int, ...]:
@@ -157,15 +144,15 @@ def changes(a: Judged, b: Judged, rng: np.random.Generator, outputs: Sequence[in
 
     Over all outputs, or some of them (indices).
     """
-    draws = resample(a.session, rng)
+    draws = resample(_unit(a.session), rng)
 
-    def more(k: int, i: np.ndarray) -> float:
-        before, after = (_share_missed(j, k, i, outputs) for j in (a, b))
-        if np.isinf(before):  # that forecast exploded
-            return 0.0 if np.isinf(after) else -1.0
-        return after / max(before, 1e-12) - 1
+    def more(k: int) -> Float[np.ndarray, " draws"]:
+        before, after = (_share_missed(j, k, draws, outputs) for j in (a, b))
+        exploded = np.where(np.isinf(after), 0.0, -1.0)
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isinf(before), exploded, after / np.maximum(before, 1e-12) - 1)
 
-    return [_interval(partial(more, k), draws) for k in range(a.error.shape[1])]
+    return [interval(more(k)) for k in range(a.error.shape[1])]
 
 
 def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
@@ -175,15 +162,13 @@ def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
 
 def dearer_at(a: Judged, b: Judged) -> set[int]:
     """The horizons [rows] at which b misses more of the motion than a by `LEAST_SHARE`, by chance or not."""
-    every = np.arange(len(a.session))
-    missed = ([_share_missed(j, k, every) for j in (a, b)] for k in range(a.error.shape[1]))
+    missed = ([_share_missed(j, k)[0] for j in (a, b)] for k in range(a.error.shape[1]))
     return {h for h, (before, after) in zip(horizons(a), missed, strict=True) if after > (1 + LEAST_SHARE) * before}
 
 
 def explodes(a: Judged, b: Judged) -> bool:
     """Whether forecasts leave the finite numbers with b, and not with a."""
-    every = np.arange(len(a.session))
-    shares = ([_share_missed(j, k, every) for k in range(a.error.shape[1])] for j in (a, b))
+    shares = ([_share_missed(j, k)[0] for k in range(a.error.shape[1])] for j in (a, b))
     return any(np.isfinite(x) and not np.isfinite(y) for x, y in zip(*shares, strict=True))
 
 
@@ -197,8 +182,7 @@ def beats(references: Sequence[Judged], box: Judged) -> list[int]:
 
 
 def _misses_less(a: Judged, b: Judged, k: int, level: float) -> bool:
-    every = np.arange(len(a.session))
-    if not _share_missed(b, k, every) < (1 - MARGIN) * _share_missed(a, k, every):
+    if not _share_missed(b, k)[0] < (1 - MARGIN) * _share_missed(a, k)[0]:
         return False
     moved = np.maximum((a.moved[:, k] ** 2).mean(0), 1e-12)
     with np.errstate(over="ignore"):  # a forecast that exploded
@@ -226,12 +210,10 @@ def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random
     if not surely_likelier(refitted, box):
         return None
 
-    def ratio(i: np.ndarray) -> float:
-        gained = (refitted.nll[i] - named.nll[i]).mean()
-        # Physics can be better than the box; then it explains all there is to explain.
-        return float(np.clip(gained / max((refitted.nll[i] - box.nll[i]).mean(), 1e-9), 0.0, 1.0))
-
-    return _interval(ratio, resample(refitted.session, rng))
+    draws = resample(_unit(refitted.session), rng)
+    named_gains, box_gains = (averages((refitted.nll - j.nll)[:, None], draws)[:, 0] for j in (named, box))
+    # Physics can be better than the box; then it explains all there is to explain.
+    return interval(np.clip(named_gains / np.maximum(box_gains, 1e-9), 0.0, 1.0))
 
 
 def pieces_of(recordings: Sequence[Recording], time_step: float) -> Chunks | None:

@@ -5,7 +5,7 @@ from planted import SPOT, recordings
 
 from simgap.diagnosis.inference import explain as explanation
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.likelihood.filter import Variables, innovations_of
+from simgap.diagnosis.likelihood.filter import Variables, filtered
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import Chunks, cut
@@ -38,7 +38,8 @@ def problem(training: list[Recording]) -> Problem:
 
 def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> np.ndarray:
     """Innovations [C, t, s] of one value of the variables."""
-    return np.asarray(innovations_of(augmented, scales, v, chunks))
+    _, e = filtered(augmented, scales, v, chunks)
+    return np.where(np.asarray(chunks.counts)[..., None], e, 0.0)
 
 
 def explain(training: list[Recording], heldout: list[Recording]) -> Explanation:

@@ -13,13 +13,15 @@ from small import KEYS, acting, innovations, sessions
 
 from examples.drive import DRIVE
 from simgap.diagnosis.likelihood.derivatives import BATCH
-from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, gain_matrix, tangents, wrap
+from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, gain_matrix, tangents
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import LENGTH, PAD, TURNS, WARM, as_chunks, cut, sent_before
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import HISTORY_ROWS, Row
 from simgap.effects.step import advance, remember
+from simgap.kinematics import wrapped
+from simgap.rows import by_row
 from simgap.types import Recording
 
 LET_IN = 24
@@ -193,11 +195,11 @@ def test_rows_that_do_not_count_are_zero() -> None:
 
 def test_differences_of_angles_are_wrapped() -> None:
     difference = np.tile(np.array([0.1, 3.0, -3.5, 6.4, 2 * np.pi - 0.1])[:, None], (1, 12))
-    wrapped = np.asarray(wrap(SPOT, difference))
+    found = by_row(wrapped, SPOT.layout, difference)
     np.testing.assert_allclose(
-        wrapped[:, 2], [0.1, 3.0, 2 * np.pi - 3.5, 6.4 - 2 * np.pi, -0.1], atol=1e-5
+        found[:, 2], [0.1, 3.0, 2 * np.pi - 3.5, 6.4 - 2 * np.pi, -0.1], atol=1e-5
     )  # only the yaw is an angle
-    np.testing.assert_allclose(np.delete(wrapped, 2, axis=1), np.delete(difference, 2, axis=1), rtol=1e-6)
+    np.testing.assert_allclose(np.delete(found, 2, axis=1), np.delete(difference, 2, axis=1), rtol=1e-6)
 
 
 def test_innovations_do_not_depend_on_how_often_the_robot_has_turned() -> None:

@@ -1,0 +1,36 @@
+"""A function of every row of some arrays, compiled once whatever their number."""
+
+from collections.abc import Callable, Hashable
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+ROWS = 1024
+"""Rows that are computed at once."""
+
+
+def by_row(function: Callable, fixed: Hashable, *arrays: Float[np.ndarray, "..."]) -> Any:
+    """`function(fixed, *row)` of every row, in 32 bits, as arrays of numpy's.
+
+    function: of a module, for it is compiled once for each that is new. arrays: with the same leading axes, which the
+    results have as well; a row of the first is a vector.
+    """
+    axes = arrays[0].ndim - 1
+    lead = arrays[0].shape[:axes]
+    count = int(np.prod(lead))
+    flat = [np.asarray(a, np.float32).reshape(count, *a.shape[axes:]) for a in arrays]
+    # The last batch is filled up by repetition; of no rows there is one of zeros, for the results' shapes.
+    flat = flat if count else [np.zeros((1, *a.shape[1:]), np.float32) for a in flat]
+    parts = []
+    for first in range(0, max(count, 1), ROWS):
+        index = np.minimum(np.arange(first, first + ROWS), max(count, 1) - 1)
+        parts.append(_batch(function, fixed, *(a[index] for a in flat)))
+    return jax.tree.map(lambda *p: np.concatenate(p)[:count].reshape(*lead, *p[0].shape[1:]), *parts)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _batch(function: Callable, fixed: Hashable, *rows: Float[np.ndarray, "n ..."]) -> Any:
+    return jax.vmap(partial(function, fixed))(*rows)
