@@ -15,7 +15,6 @@ from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.engines import Engine, Table, is_engine
 from simgap.kinematics import push
 from simgap.layout import Layout
-from simgap.types import StepModel
 
 
 def parts_of(augmented: Augmented) -> int | None:
@@ -44,7 +43,7 @@ class Given(NamedTuple):
 def next_state(augmented: Augmented, state: Float[Array, " s"], given: Given) -> Float[Array, " s"]:
     """The next state where nothing pushes."""
     if not is_engine(augmented.simulator):
-        return _stepped(augmented.simulator, given.phi, state, given.command)
+        return augmented.simulator.step(given.phi, state, given.command)
     return _engine(augmented.simulator, state, given, jnp.zeros(len(efforts(augmented.layout))))
 
 
@@ -62,15 +61,7 @@ def pushed_state(
         then = _engine(augmented.simulator, state, given, effort)
         return then, jnp.zeros_like(then)
     du, dv, dp = push(augmented.layout, heading, delta)
-    return _stepped(augmented.simulator, given.phi, state, given.command + du) + dv, dp
-
-
-@partial(jax.jit, static_argnames="simulator")
-def _stepped(
-    simulator: StepModel, phi: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
-) -> Float[Array, " s"]:
-    """A step, which what is computed of pushes takes several times: traced once."""
-    return simulator.step(phi, state, command)
+    return augmented.simulator.step(given.phi, state, given.command + du) + dv, dp
 
 
 def efforts(layout: Layout) -> list[tuple[int, int]]:
