@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from simgap.kinematics import commanded, motion
 from simgap.layout import AXES, Layout, X, Y
+from simgap.rows import by_row
 from simgap.survey import leading
 from simgap.types import Recording, Schema
 
@@ -114,8 +115,7 @@ def _commanded(
              and layout.command[b, a] >= 0 and schema.command[layout.command[b, a]].kind == "velocity"]  # fmt: skip
     if not pairs:
         return
-    moving = jax.jit(jax.vmap(lambda s: motion(layout, s)))(jnp.asarray(state, jnp.float32))
-    velocity, heading = np.asarray(moving.velocity), moving.heading
+    velocity, _, heading = by_row(motion, layout, state)
     for b, a in pairs:
         own = jax.vmap(lambda h, u, b=b: commanded(layout, b, h, u))(heading[:, b], jnp.asarray(command, jnp.float32))
         names = schema.command[layout.command[b, a]].name, schema.state[layout.velocity[b, a]].name

@@ -13,10 +13,10 @@ ROWS = 1024
 
 
 def by_row(function: Callable, fixed: Hashable, *arrays: Float[np.ndarray, "..."]) -> Any:
-    """`function(fixed, *row)` of every row, in 32 bits, as arrays of numpy's.
+    """`function(fixed, *row)` of every row, in 32 bits, as NumPy arrays.
 
-    function: of a module, for it is compiled once for each that is new. arrays: with the same leading axes, which the
-    results have as well; a row of the first is a vector.
+    function: defined in a module; a new lambda or partial would be compiled again. fixed: the same for all rows, such
+    as a layout. arrays: they share their leading axes, and so do the results. Rows of the first array are vectors.
     """
     axes = arrays[0].ndim - 1
     lead = arrays[0].shape[:axes]

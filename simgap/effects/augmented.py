@@ -41,7 +41,7 @@ class Slot(NamedTuple):
 class Augmented:
     """`simulator` with theta, a vector of the internal constants of all effects at all sites; nil at zero.
 
-    only: the effects of the catalogue whose laws are computed, whatever their constants; None: all, as they act.
+    only: the effects (indices in the catalogue) that it has laws for; None: all, each switched by `active`.
     """
 
     simulator: StepModel | Engine
@@ -107,8 +107,8 @@ class Augmented:
         return np.array([slot.effect for slot in self.slots], int)
 
     def lean(self, few: int, *thetas: Float[np.ndarray, "... P"]) -> "Augmented":
-        """The same for constants like these: without the laws that are nil in all of them, if no more than a few are
-        not. For each combination of effects a program is compiled, which pays where there are not many."""
+        """A simulator with only the laws that have a constant other than zero in any of these; itself, where these
+        are more than a few. Each combination of effects is compiled anew, so this pays where few combinations occur."""
         on = np.any(np.concatenate([theta.reshape(-1, len(self.slots)) for theta in thetas]) != 0, axis=0)
         acting = tuple(np.unique(self.effect_of[on]).tolist())
         return self if len(acting) > few else _with_laws(self.simulator, acting)

@@ -60,8 +60,8 @@ def remember(
         return run(memory, sent[HISTORY_ROWS:]).filters
 
     nil = {law.effect.key: past[0] for law in filters}
-    remembered = where(_any(filters), settled, nil) if filters else {}
-    return Memory(past[:HISTORY_ROWS], remembered, states, forgets)
+    filter_states = where(_any(filters), settled, nil) if filters else {}
+    return Memory(past[:HISTORY_ROWS], filter_states, states, forgets)
 
 
 def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:

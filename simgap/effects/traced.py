@@ -1,6 +1,7 @@
-"""Parts of a step, each traced once for all programs that contain it.
+"""The parts of `step` under `jax.jit`, so that JAX traces each once for all programs that contain it.
 
-For constants that are variables. Where they are known before tracing, `step` leaves out the laws that are nil.
+They take the effects' constants as variables. Call `step` itself where the constants are known before tracing: it then
+skips the laws whose constants are zero.
 """
 
 import jax

@@ -90,18 +90,20 @@ def _chunk(
 
         def step(theta: Theta) -> tuple[Memory, Float[Array, " s"], Float[Array, " s"]]:
             here, theta = Row(time_s, interval, table), acting(v, theta, gate)
-            after, foretold = advance(augmented, phi, theta, scales, memory, x, u, here, active)
-            seen = sense(augmented, theta, after, foretold, here._replace(time_s=next_s), active)
-            return after, foretold, innovation(augmented, y_next, seen)
+            after, predicted = advance(augmented, phi, theta, scales, memory, x, u, here, active)
+            seen = sense(augmented, theta, after, predicted, here._replace(time_s=next_s), active)
+            return after, predicted, innovation(augmented, y_next, seen)
 
         if other is None:
-            after, foretold, e = step(v.theta)
-            told = e
+            after, predicted, e = step(v.theta)
+            reported = e
         else:
-            # One after the other: compiled once.
-            both = jax.lax.map(step, jnp.stack([v.theta, other]))
-            (after, foretold, e), told = jax.tree.map(lambda a: a[0], both), both[2][1]
-        return (after, corrected(augmented.layout, K, foretold, e)), (x, told[: len(augmented.layout.schema.outputs)])
+            # A loop over the two, so that the step is compiled once.
+            afters, predictions, innovations = jax.lax.map(step, jnp.stack([v.theta, other]))
+            after, predicted, e = jax.tree.map(lambda a: a[0], (afters, predictions, innovations))
+            reported = innovations[1]
+        outputs = len(augmented.layout.schema.outputs)
+        return (after, corrected(augmented.layout, K, predicted, e)), (x, reported[:outputs])
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
     rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:, :-1].T, chunk.table)
