@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks, bare
+from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.step import follow, unsense
-from simgap.effects.traced import advance, remember, sense
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 

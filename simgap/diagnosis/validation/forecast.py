@@ -12,12 +12,12 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, innovation
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
+from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
 from simgap.effects.step import unsense
-from simgap.effects.traced import advance, remember, sense
 from simgap.types import Recording
 
 PIECES, SEGMENT = 64, 10
