@@ -51,7 +51,7 @@ def spread(
     scale = np.sqrt(np.diag(hessian))
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     rows = (weighted * fit.e).sum(-1)
-    starts = blocks(np.asarray(problem.chunks.counts)) if starts is None else starts
+    starts = blocks(problem.chunks.counts) if starts is None else starts
     score = np.add.reduceat(rows, starts, axis=1)
     sandwich = inverse @ (score @ score.T) @ inverse
     sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
