@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import isotonic_regression
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 
 from simgap.diagnosis.likelihood.student_t import DOFS, Noise
 
@@ -76,6 +76,16 @@ def _log_t(z2: Float[np.ndarray, "n s"], noise: Noise, dof: Float[np.ndarray, " 
     return (constant - (dof + 1) / 2 * np.log1p(z2 / dof)).astype(np.float32)
 
 
+def _across(x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+    """Sums over the columns; as a product, which for so few takes a fifth of the time."""
+    return x @ np.ones(x.shape[1], x.dtype)
+
+
+def _over_rows(x: Float[np.ndarray, "n s"]) -> Float[np.ndarray, " s"]:
+    """Sums in 64 bits."""
+    return np.ones(len(x)) @ x
+
+
 def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Expected:
     noise, (n, s) = mixture.noise, e.shape
     dof = noise.dof.astype(np.float32)
@@ -85,10 +95,10 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
     widths = np.array([1.0, *WIDE], np.float32)
     squares = [(z / w) ** 2 for w in widths]
     each = [_log_t(z2, noise, dof) - np.log(w) for z2, w in zip(squares, widths, strict=True)]
-    columns = [each[0].sum(1)]
+    columns = [_across(each[0])]
     for group in law.groups:
-        rest = np.setdiff1d(np.arange(s), group)
-        columns += [np.take(x, group, axis=1).sum(1) + np.take(each[0], rest, axis=1).sum(1) for x in each[1:]]
+        inside = np.isin(np.arange(s), group).astype(np.float32)
+        columns += [x @ inside + each[0] @ (1 - inside) for x in each[1:]]
     amplitudes = []
     for d in law.shifts:
         d = (d / unit).astype(np.float32)
@@ -97,28 +107,31 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
         extra = 0.0
         if curvature is not None:
             extra = -0.5 * (((a - mixture.mean) / mixture.sd) ** 2 + np.log(mixture.sd**2 * curvature))
-        columns.append(_log_t(z2, noise, dof).sum(1) + extra)
+        columns.append(_across(_log_t(z2, noise, dof)) + extra)
         if curvature is not None:  # the amplitude is not known exactly
             z2 = z2 + d**2 / curvature[:, None]
         squares.append(z2)
         amplitudes.append((a, curvature))
     with np.errstate(divide="ignore"):
         joint = np.column_stack(columns).astype(np.float64) + np.log(mixture.shares)
-    total = np.asarray(logsumexp(joint, axis=1))
-    chance = np.exp(joint - total[:, None])
-    total = total - (np.zeros((n, s)) + np.log(width)).sum(1)
+    peak = joint.max(1)
+    chance = np.exp(joint - peak[:, None])
+    whole = _across(chance)
+    total = peak + np.log(whole)
+    chance /= whole[:, None]
+    total = total - _across(np.broadcast_to(np.log(width), (n, s)))
     belong = _belonging(law, chance.astype(np.float32), s)
     # Of every output: r (u z^2 - 1), with u = (dof + 1) / (dof + z^2).
     weight, by_scale = np.zeros(s), np.full((n, s), -1.0, np.float32)
     for r, z2 in zip(belong, squares, strict=True):
         u = r * (dof + 1) / (dof + z2)
-        weight += u.sum(0, dtype=np.float64)
+        weight += _over_rows(u)
         u *= z2
         by_scale += u
-    spread = n + by_scale.sum(0, dtype=np.float64)
+    spread = n + _over_rows(by_scale)
     by_slope = np.zeros(n)
     if law.moving is not None:
-        by_slope = (by_scale * (mixture.slope * law.moving / width)).sum(1)
+        by_slope = _across(by_scale * (mixture.slope * law.moving / width))
     by_sd, sd = np.zeros(n), mixture.sd
     if law.free:
         r = chance[:, -len(law.shifts) :]
@@ -138,8 +151,8 @@ def _amplitudes(
     a, curvature = np.full(len(z), mixture.mean, np.float32), np.full(len(z), prior)
     for _ in range(NEWTON):
         weighted = d * (dof + 1) / (dof + (z - a[:, None] * d) ** 2)
-        curvature = (weighted * d).sum(1) + prior
-        a = ((weighted * z).sum(1) + prior * np.float32(mixture.mean)) / curvature
+        curvature = _across(weighted * d) + prior
+        a = (_across(weighted * z) + prior * np.float32(mixture.mean)) / curvature
     return a, curvature
 
 
@@ -192,10 +205,10 @@ def _rescaled(noise: Noise, before: Noise, x: _Expected) -> tuple[Noise, Float[n
         weight, spread = np.zeros(len(scale)), np.zeros(len(scale))
         for r, z2 in x.parts:
             u = r / (dof + z2 * ratio)
-            weight += u.sum(0, dtype=np.float64)
+            weight += _over_rows(u)
             u *= z2 * ratio
-            spread += u.sum(0, dtype=np.float64)
+            spread += _over_rows(u)
         scale = scale * np.sqrt(spread / np.maximum(weight, 1e-9))
     noise, ratio = Noise(scale, noise.dof), ((before.scale / scale) ** 2).astype(np.float32)
-    parts = [(r * _log_t(z2 * ratio, noise, dof)).sum(0, dtype=np.float64) for r, z2 in x.parts]
+    parts = [_over_rows(r * _log_t(z2 * ratio, noise, dof)) for r, z2 in x.parts]
     return noise, np.sum(parts, axis=0)

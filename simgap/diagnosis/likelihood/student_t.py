@@ -28,8 +28,9 @@ def log_density(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, 
 
 
 def weights(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s"]:
-    """w with d ln t / de = -w e: what an innovation counts for."""
-    return (noise.dof + 1) / (noise.dof * noise.scale**2 + e**2)
+    """w with d ln t / de = -w e: what an innovation counts for; one whose square overflows counts for nothing."""
+    with np.errstate(over="ignore"):
+        return (noise.dof + 1) / (noise.dof * noise.scale**2 + e**2)
 
 
 def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
