@@ -1,4 +1,4 @@
-"""Commands in a process of their own that is killed with SIGKILL at one of its writes."""
+"""Commands in a process of their own, which may be killed with SIGKILL at one of its writes."""
 
 import json
 import subprocess
@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 ROOT = Path(__file__).parents[1]
 WORKER = """
@@ -50,11 +51,11 @@ Work = Callable[..., int]
 
 
 @contextmanager
-def worker(environment: Mapping[str, str], stages: Sequence[str]) -> Iterator[Work]:
+def worker(environment: Mapping[str, str], stages: Sequence[str], printed: TextIO | None = None) -> Iterator[Work]:
     """Yields `work(folder, *commands, writes=0)`, which runs commands of these stages there, such as `train virtual`,
-    is killed at that write of the last one, and gives the exit status."""
+    is killed at that write of the last one, and gives the exit status. printed: a file for what they print."""
     process = subprocess.Popen([sys.executable, "-c", WORKER, *stages], env={**environment, "PYTHONPATH": str(ROOT)},
-                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # fmt: skip
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=printed, text=True)  # fmt: skip
     assert process.stdin is not None
     assert process.stdout is not None
     stdin, stdout = process.stdin, process.stdout

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from killing import worker
 from mlflow import MlflowClient
 
 from simgap import scores
@@ -237,11 +238,16 @@ def test_models_that_are_given_a_diagnosis(
     train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
     policy = {**TINY["policy"], "models": ["residual_diagnosed"], "sample_sizes": [80, 100_000]}
     overrides = {**TINY, "train": train, "policy": policy}
-    workspace = Workspace(tmp_path / "w", "virtual")
+    workspace = Workspace(tmp_path, "virtual")
     stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
     write_json(stale, {"fingerprint": "of other parameters"})
-    status, output = finish(start(tmp_path, overrides, prefect_server), tmp_path)
-    assert status == 1
+    params = load_params(ROOT / "params.yaml", overrides).model_dump(mode="json")
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
+    stages = ("recordings", "transitions", "train", "score", "report", "policy")
+    with (tmp_path / "output.txt").open("w") as printed, worker(prefect_server, stages, printed) as work:
+        statuses = {stage: work(tmp_path, f"{stage} virtual") for stage in stages}
+    output = (tmp_path / "output.txt").read_text()
+    assert {stage for stage, status in statuses.items() if status} == {"train", "policy"}, output
     assert "4 of 8 cells failed" in output
     assert "1 of 2 policies failed" in output
     assert "N = 100000 transitions are asked for" in output
