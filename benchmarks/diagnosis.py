@@ -3,7 +3,7 @@
     python -m benchmarks.diagnosis
 
 The baseline is the straightforward way to find one effect: every hypothesis fitted in full, one after the other. One
-such fit is measured in the same run, and multiplied by the number of hypotheses. Compilation is told apart: the
+such fit is measured in the same run, and multiplied by the number of hypotheses. Compilation is separate: the
 diagnosis runs twice, and the second run counts. Prints a table and writes benchmarks/diagnosis.json.
 """
 

@@ -6,7 +6,7 @@ Everyone does the same work: batches of 64, 64-64 networks, observations of 24 a
 updates to 1,024 environment steps of 64 environments. Ours learns in a model of Sim-FSVGD's shape; brax in an
 environment of one multiplication; of sbx, whose environments are Python's, the updates alone are timed. Ours runs on
 one thread, and as two policies on two threads; the others as they come, free to use every core. The cases take turns
-within every round. Two rates are told: updates per second, and per second of processor time, all threads' together,
+within every round. Two rates are printed: updates per second, and per second of processor time, all threads' together,
 which other work on the machine hardly disturbs. The rivals' pins conflict with the project's: each is installed with uv
 into an environment of its own, below FOLDER (a temporary one unless given), which takes minutes. Prints a table, writes
 benchmarks/policies.json.

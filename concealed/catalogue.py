@@ -1,4 +1,4 @@
-"""All concealed forms by the id they are told by, and those that no id tells."""
+"""All concealed forms by their id, and those that have none."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What a concealed effect may do to the robot: the base of all forms, and what they are told of the row under way."""
+"""What a concealed effect may do to the robot: the base of all forms, and what they know of the row under way."""
 
 from typing import Any, NamedTuple
 

@@ -15,7 +15,7 @@ _DEFAULTS = {
     # On a cluster a flow without a server starts one; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_LOGGING_LEVEL": "WARNING",
-    # That its server is gone is told by a warning; this would tell it again for every event, with all that is in it.
+    # A warning says that its server is gone; this would repeat it for every event, with all that is in it.
     "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
     # DVC says what is stale; Prefect caches nothing.
     "PREFECT_TASKS_DEFAULT_NO_CACHE": "true",
@@ -25,7 +25,7 @@ _DEFAULTS = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     # Flows say themselves where a run is found.
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
-    # A server that is gone is told of after half a minute, not after four.
+    # A server that is gone is reported after half a minute, not after four.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "4",
     "DVC_NO_ANALYTICS": "1",
 }

@@ -34,7 +34,7 @@ def fan_out(
 ) -> dict[Place, str]:
     """Call `work(workspace, cell, job, clock, ...)` for every cell, `workers` threads at a time, or on the cluster.
 
-    Returns what went wrong, by cell. When this process is told to end, work under way ends at its next report; what is
+    Returns what went wrong, by cell. When this process is to end, work under way ends at its next report; what is
     finished is kept.
     """
     failed: dict[Place, str] = {}
@@ -42,7 +42,7 @@ def fan_out(
     runner = _dask(cluster) if cluster else ThreadPoolTaskRunner(max_workers=workers)
     served = one_server() if cluster and not server.there() else nullcontext()
     with progress.bars(what, len(cells), time.monotonic) as bars, served, runner:
-        told = artifacts.Progress(what, len(cells))
+        page = artifacts.Progress(what, len(cells))
         with _stopping(bars):
             # Bars are of this process; on a cluster, the lines are the workers'.
             common = {"job": progress.plain_job if cluster else bars.job, "clock": time.perf_counter}
@@ -52,7 +52,7 @@ def fan_out(
             }
             for done, (place, future) in enumerate(futures.items(), 1):
                 future.wait()
-                told.done(done)
+                page.done(done)
                 if not future.state.is_completed():
                     failed[place] = str(future.state.message)
     return failed

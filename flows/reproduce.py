@@ -20,7 +20,7 @@ from tasks.workspace import Workspace
 
 @flow(name="reproduce", flow_run_name="reproduce-{source}")
 def run(source: str, params: Params, root: Path) -> None:
-    """Recordings to report and diagnosis in the folder `root`; cells that failed are told once the rest is done."""
+    """Recordings to report and diagnosis in the folder `root`; cells that failed are reported once the rest is done."""
     recordings.run(source, params, root)
     transitions.run(source, params, root)
     failures: list[SimgapError] = []

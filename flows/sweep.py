@@ -17,7 +17,7 @@ from flows.fan_out import Place
 from flows.flow import flow
 from flows.locks import alone
 from flows.start import PARAMS
-from flows.train import told, train_cells
+from flows.train import failures, train_cells
 from simgap.cli import progress
 from simgap.formats.documents import write_json
 from simgap.types import SimgapError
@@ -85,7 +85,7 @@ def _train_and_score(name: str, root: Path, cells: dict[Place, Params], params: 
             best = sweep.register_best(rows, name, store)
             _show(name, rows, best, store, parent)
         if failed:
-            raise SimgapError(told(failed, len(cells)))
+            raise SimgapError(failures(failed, len(cells)))
 
 
 def _score(cells: dict[Place, Params], parent: Run) -> list[sweep.Row]:

@@ -32,7 +32,7 @@ def run(source: str, params: Params, root: Path) -> None:
         progress.say(f"MLflow: {links.to_run(store, parent.run_id)}")
         failed = train_cells({(workspace, cell): params for cell in cells}, tags, parent)
         if failed:
-            raise SimgapError(told(failed, len(cells)))
+            raise SimgapError(failures(failed, len(cells)))
 
 
 def train_cells(cells: Mapping[Place, Params], tags: dict[str, str], parent: Run) -> dict[Place, str]:
@@ -44,7 +44,7 @@ def train_cells(cells: Mapping[Place, Params], tags: dict[str, str], parent: Run
     return failed | fan_out(f"train on {workspace.source}", train.train_cell, able, params.train.workers)
 
 
-def told(failed: Mapping[Place, str], count: int) -> str:
+def failures(failed: Mapping[Place, str], count: int) -> str:
     """What failed and what to do, as an error's message."""
     lines = [f"  {cell.name}{workspace.suffix}: {why}" for (workspace, cell), why in failed.items()]
     return (

@@ -13,7 +13,7 @@ RUN = 10
 """Rows in a row, all different from each other, by which two sessions are compared: sensors that flicker between a few
 values at rest do not repeat so many by chance."""
 LEAST_SHARE = 0.05
-"""Share of the shorter session from which on rows in common are told of."""
+"""Share of the shorter session from which on rows in common are reported."""
 
 
 class Repeat(NamedTuple):

@@ -69,8 +69,8 @@ class Result:
         from simgap.simulators.mujoco import account
 
         engine, file = cast(Any, used.simulator), f"{Path(used.name).stem}{diagnoses.PATCHED}"
-        told = account.account(engine, found.model, found.statement, file) | {"model_file": used.model_file}
-        return Result(engine, found._replace(statement=told), tuple(left_out))
+        statement = account.account(engine, found.model, found.statement, file) | {"model_file": used.model_file}
+        return Result(engine, found._replace(statement=statement), tuple(left_out))
 
     @property
     def statement(self) -> dict[str, Any]:

@@ -99,12 +99,12 @@ def kinematics(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Kin
         j = _position_of(schema, velocity)
         if j is None:
             continue
-        moved, told = [], []
+        moved, reported = [], []
         for r in recordings:
             step = np.diff(r.state[:, j])
             moved.append((_wrapped(step) if schema.state[j].kind == "angle" else step) / np.diff(r.time_s))
-            told.append((r.state[1:, i] + r.state[:-1, i]) / 2)
-        x, y = np.concatenate(told), np.concatenate(moved)
+            reported.append((r.state[1:, i] + r.state[:-1, i]) / 2)
+        x, y = np.concatenate(reported), np.concatenate(moved)
         if np.ptp(x) and np.ptp(y):
             correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
             found[velocity.name] = Kinematics(schema.state[j].name, float(x @ y / (x @ x)), correlation)

@@ -29,9 +29,9 @@ class Progress:
 
     def done(self, count: int) -> None:
         """So many are done by now."""
-        told, made = 100.0 * count / self._total, self._id
+        percent, made = 100.0 * count / self._total, self._id
         if made:
-            _tell(lambda: update_progress_artifact(made, told, self._told(count)))
+            _tell(lambda: update_progress_artifact(made, percent, self._told(count)))
 
     def _told(self, count: int) -> str:
         return f"{self._what}: {count} of {self._total}"
@@ -56,5 +56,5 @@ def _tell(call: Callable[[], Any]) -> Any:
     try:
         return call()
     except httpx.HTTPError as error:
-        progress.say(f"warning: Prefect's pages were not told ({error or type(error).__name__}); the work goes on.")
+        progress.say(f"warning: Prefect's pages are not updated ({error or type(error).__name__}); the work goes on.")
         return None

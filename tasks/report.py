@@ -81,9 +81,9 @@ def diagnosis_adds(rows: Sequence[Row], noise: str) -> list[tuple[str, str]]:
         table = compare(rows, noise, model, twin)
         if table:
             held = {verdict: sum(row["verdict"] == verdict for row in table) for verdict in ("below", "level", "above")}
-            told = ", ".join(f"{verdict} at {count}" for verdict, count in held.items() if count)
+            counts = ", ".join(f"{verdict} at {count}" for verdict, count in held.items() if count)
             against = f"of {len(table)} N against {LABELS[twin]}"
-            found.append((LABELS[model], f"**{told}** {against} ({_differences(table)})"))
+            found.append((LABELS[model], f"**{counts}** {against} ({_differences(table)})"))
     return found
 
 
@@ -96,8 +96,8 @@ def effects_found(rows: Sequence[Row]) -> list[str]:
         for (size, seed), effects in sorted(found.items()):
             if size == n:
                 seeds.setdefault(effects, []).append(str(seed))
-        told = "; ".join(f"{effects} (seed {', '.join(which)})" for effects, which in seeds.items())
-        lines.append(f"N = {n}: {told}")
+        counts = "; ".join(f"{effects} (seed {', '.join(which)})" for effects, which in seeds.items())
+        lines.append(f"N = {n}: {counts}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Whether there is a Prefect server to be told of flows and tasks. Without one, tasks keep their names and retries."""
+"""Whether there is a Prefect server that records flows and tasks. Without one, tasks keep their names and retries."""
 
 NONE = {
     "PREFECT_API_URL": "http://none.invalid/api",

@@ -23,7 +23,7 @@ from tasks.sealed.workspace import SealedWorkspace
 
 @flow(name="examine", flow_run_name="examine-{suite}")
 def run(suite: str, params: SealedParams, root: Path) -> None:
-    """Diagnose what is not diagnosed yet; cases that failed are told at the end and lose no other."""
+    """Diagnose what is not diagnosed yet; cases that failed are reported at the end and lose no other."""
     workspace, wanted = SealedWorkspace(root, suite), params.examine
     manifest = read_json(workspace.manifest)
     code = fingerprint.diagnosing_code(workspace.has_models)

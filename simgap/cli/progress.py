@@ -42,7 +42,7 @@ def choose(*, quiet: bool, verbose: bool, json: bool) -> None:
 
 
 class Stopped(BaseException):
-    """Raised by `report` in work that is to end: the process was told to."""
+    """Raised by `report` in work that is to end, with the process."""
 
 
 class Bars:

@@ -62,7 +62,7 @@ def _quiet(_: str) -> None:
 def diagnose(
     simulator: StepModel | Engine, name: str, sessions: Sessions, seed: int = 0, say: Say = _quiet
 ) -> Diagnosis:
-    """Diagnose the simulator called `name` against recordings; `say(line)` is told what is being tried.
+    """Diagnose the simulator called `name` against recordings; `say(line)` gets what is being tried.
 
     With a `baseline` the question is what changed since: the simulator is refitted to both sets, with the effects that
     the baseline shows by itself, and an effect is claimed where it differs between the two.

@@ -1,4 +1,4 @@
-"""In which regime an effect acts: where what the robot does, or is told to do, lies above or below an edge."""
+"""In which regime an effect acts: where what the robot does, or is commanded to do, lies above or below an edge."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -36,7 +36,7 @@ def everywhere(theta: Float[np.ndarray, " P"]) -> Acting:
 
 
 class Feature(NamedTuple):
-    """What regimes are told by, its unit, and its value in a row, of the bodies' own motion, state and command."""
+    """What regimes are described by, its unit, and its value in a row, of the bodies' own motion, state and command."""
 
     name: str
     unit: str

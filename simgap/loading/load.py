@@ -45,7 +45,7 @@ def started(used: Used, sessions: Sessions, say: Callable[[str], None]) -> Used:
     """What a diagnosis of these sessions starts from.
 
     Where replays show that the stiffness of a model file's position servos is wrong by far, all are rescaled together,
-    and `say` is told: the search begins near what it looks for.
+    and `say` says so: the search begins near what it looks for.
     """
     if used.model_file is None:
         return used

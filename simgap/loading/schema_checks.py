@@ -11,7 +11,7 @@ _COMMAND_ROLES = {"velocity": "velocity or force", "force": "velocity or force"}
 
 
 def check_schema(schema: Any, name: str) -> None:
-    """ConfigError that begins with `name` unless it is a schema whose columns can be told apart."""
+    """ConfigError that begins with `name` unless it is a schema whose columns can be distinguished."""
     if not isinstance(schema, Schema):
         raise ConfigError(
             f"{name}: schema must be a simgap.types.Schema; it is {shown(schema)}. Write "
@@ -60,7 +60,7 @@ def _check_field(field: Field, name: str) -> None:
 
 
 def _check_geometry(schema: Schema, name: str) -> None:
-    """Bodies and axes are told apart, and mounts join bodies that there are."""
+    """Bodies and axes differ, and mounts join bodies that there are."""
     # In the order of their first state column, as simgap.layout counts them.
     bodies = list(dict.fromkeys(f.body for f in schema.state if f.body))
     known = ", ".join(bodies) or "none"

@@ -42,13 +42,14 @@ def power(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
 
 
 def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: int) -> None:
-    """True effects against the first name told, single effects of at least so many nats."""
+    """True effects against the first name, single effects of at least so many nats."""
     rows = [r for r in rows if r["kind"] in ONE and r["strength"] >= least]
-    told = [r["told"].split("+")[0] or f"({r['verdict'].replace('_', ' ')})" for r in rows]
+    named = [r["told"].split("+")[0] or f"({r['verdict'].replace('_', ' ')})" for r in rows]
     truths = sorted({r["truth"] for r in rows})
-    names = sorted({t for t in told if not t.startswith("(")} | set(truths)) + sorted({t for t in told if t[0] == "("})
+    verdicts = {name for name in named if name.startswith("(")}
+    names = sorted({*named, *truths} - verdicts) + sorted(verdicts)
     counts = np.zeros((len(truths), len(names)))
-    for row, name in zip(rows, told, strict=True):
+    for row, name in zip(rows, named, strict=True):
         counts[truths.index(row["truth"]), names.index(name)] += 1
     size = (2.6 + 0.26 * len(names), 2.2 + 0.24 * len(truths))
     figure, ax = plt.subplots(figsize=size, layout="constrained")
@@ -60,7 +61,7 @@ def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: 
                 color="white" if dark else "black" if same else WRONG)  # fmt: skip
     ax.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     ax.set_yticks(range(len(truths)), truths, fontsize=7)
-    ax.set(xlabel="first name told, or verdict", ylabel="truth")
+    ax.set(xlabel="first name, or verdict", ylabel="truth")
     ax.set_title(f"Confusion, {least:.0f} nats and more", fontsize=10)
     ax.grid(alpha=0.2)
     save(figure, path, dpi)

@@ -26,25 +26,25 @@ NO_NAME = ("null", "parameters", "outside")
 """Kinds of which no name is right: nothing is concealed, wrong parameters, or a law that no word describes."""
 
 
-def judge(key: Key, told: Statement | None, seconds: float | None, error: str | None) -> Row:
+def judge(key: Key, statement: Statement | None, seconds: float | None, error: str | None) -> Row:
     """One row of the score. Of a case that failed nothing is known but that; it counts as nothing said."""
-    told = told or {"verdict": "failed", "effects": [], "fit": {"models": {}}, "located": {}}
+    statement = statement or {"verdict": "failed", "effects": [], "fit": {"models": {}}, "located": {}}
     truth = [set(e["accept"]) for e in key["effects"]] if key["kind"] not in NO_NAME else []
-    effects = sorted(told["effects"], key=lambda e: -e["gain_nats"])
+    effects = sorted(statement["effects"], key=lambda e: -e["gain_nats"])
     row: Row = {
         "kind": key["kind"], "truth": key.get("cause") or "+".join(e.get("cause", e["id"]) for e in key["effects"]),
         "strength": key["strength"], "target": key["target"], "size": key["recipe"]["size"],
         "poor": key["recipe"]["poor"],
         "noise": key["recipe"]["level"], "glitches": key["recipe"]["outliers"], "wild": key["recipe"]["wild"],
-        "verdict": told["verdict"], "told": "+".join(e["id"] for e in effects),
+        "verdict": statement["verdict"], "told": "+".join(e["id"] for e in effects),
         "probability": effects[0]["probability"] if effects else math.nan, "seconds": seconds, "error": error,
         # Of a null, "inconclusive" claims nothing; how often it is said is counted by itself.
-        "right_verdict": told["verdict"] in (*key["verdicts"], *["inconclusive"] * (key["kind"] == "null")),
-        "inconclusive": told["verdict"] == "inconclusive",
+        "right_verdict": statement["verdict"] in (*key["verdicts"], *["inconclusive"] * (key["kind"] == "null")),
+        "inconclusive": statement["verdict"] == "inconclusive",
         "confident_wrong": any(_confident_wrong(e, truth) for e in effects),
         "extra": sum(not any(e["id"] in t for t in truth) for e in effects),
     }  # fmt: skip
-    row |= _improvement(key, told) | _open_loop(key, told) | _parameter(key, told)
+    row |= _improvement(key, statement) | _open_loop(key, statement) | _parameter(key, statement)
     if key["kind"] in ONE:
         row |= _of_one(key, effects, truth[0])
     if key["kind"] in MANY:
@@ -52,15 +52,15 @@ def judge(key: Key, told: Statement | None, seconds: float | None, error: str | 
     return row
 
 
-def set_f1(truth: Sequence[set[str]], told: Sequence[str]) -> float:
+def set_f1(truth: Sequence[set[str]], named: Sequence[str]) -> float:
     """F1 of a set of names, each effect to be named once."""
     left, hits = list(truth), 0
-    for name in told:
+    for name in named:
         hit = next((t for t in left if name in t), None)
         if hit is not None:
             left.remove(hit)
             hits += 1
-    return 2 * hits / (len(truth) + len(told)) if truth or told else 1.0
+    return 2 * hits / (len(truth) + len(named)) if truth or named else 1.0
 
 
 def _confident_wrong(effect: Mapping[str, Any], truth: Sequence[set[str]]) -> bool:
@@ -91,7 +91,7 @@ def _of_one(key: Key, effects: Sequence[Mapping[str, Any]], right: set[str]) -> 
 
 
 def _alone(true: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], right: set[str]) -> bool:
-    """Whether right names are all that is told, of channels that the effect acts on alone; no channels in the key: of
+    """Whether right names are all that is named, of channels that the effect acts on alone; no channels in the key: of
     any."""
     acts = set(true["channels"])
     return bool(effects) and all(e["id"] in right and (not acts or set(e["channels"]) <= acts) for e in effects)
@@ -105,13 +105,13 @@ def onset_of(key: Key) -> float | None:
     return next((c["value"] for c in key["effects"][0]["constants"] if c["name"] in ("from", "onset")), None)
 
 
-def constants(true: Sequence[Mapping[str, Any]], told: Sequence[Mapping[str, Any]]) -> Row:
+def constants(true: Sequence[Mapping[str, Any]], stated: Sequence[Mapping[str, Any]]) -> Row:
     """Relative error of the first constant that both name or that has the same unit, and whether its interval holds.
 
     Signs are a matter of convention between the two; sizes are compared.
     """
     for t in true:
-        same = [c for c in told if c["name"] == t["name"]] or [c for c in told if c["unit"] == t["unit"]]
+        same = [c for c in stated if c["name"] == t["name"]] or [c for c in stated if c["unit"] == t["unit"]]
         if not same or t["name"] in ("from", "to", "onset") or not t["value"]:
             continue
         low, high = same[0]["ci95"]
@@ -121,16 +121,16 @@ def constants(true: Sequence[Mapping[str, Any]], told: Sequence[Mapping[str, Any
     return {}
 
 
-def _f1(truth: set[str], told: set[str]) -> float:
-    return 2 * len(truth & told) / (len(truth) + len(told)) if truth or told else 1.0
+def _f1(truth: set[str], named: set[str]) -> float:
+    return 2 * len(truth & named) / (len(truth) + len(named)) if truth or named else 1.0
 
 
-def _improvement(key: Key, told: Statement) -> Row:
+def _improvement(key: Key, statement: Statement) -> Row:
     """Share of the true form's improvement after 50 steps on held-out sessions, of named physics and of a black box.
 
     Improvements are relative to the refitted simulator, in the key as in the statement.
     """
-    models, errors = told["fit"]["models"], key.get("error_50")
+    models, errors = statement["fit"]["models"], key.get("error_50")
     if errors is None:
         return {}
     possible = 1 - errors["true"] / errors["refitted"]
@@ -141,12 +141,12 @@ def _improvement(key: Key, told: Statement) -> Row:
     return {"share": made("augmented") / possible, "share_black_box": made("black_box") / possible}
 
 
-def _open_loop(key: Key, told: Statement) -> Row:
+def _open_loop(key: Key, statement: Statement) -> Row:
     """Error of the corrected model in open loop, in the noise with which positions are measured: at 1 nothing is left.
 
     corrected: with the effects that are named, or refitted where none is. Mean square over all positions.
     """
-    replay, floor = told.get("replay"), key.get("floor")
+    replay, floor = statement.get("replay"), key.get("floor")
     if not replay or not floor:
         return {}
     of = lambda model: [p["errors"].get(model, p["errors"]["refitted"]) for p in replay["positions"]]  # noqa: E731
@@ -154,12 +154,12 @@ def _open_loop(key: Key, told: Statement) -> Row:
     return {"open_loop": ratio("augmented"), "open_loop_as_is": ratio("as_is")}
 
 
-def _parameter(key: Key, told: Statement) -> Row:
+def _parameter(key: Key, statement: Statement) -> Row:
     """Relative error, after the refit, of the parameter that is wrong in the user's model."""
-    if not key.get("parameter") or "parameters" not in told:
+    if not key.get("parameter") or "parameters" not in statement:
         return {}
     name, true = key["parameter"]
-    return {"parameter_error": abs(told["parameters"]["after"][name] / true - 1)}
+    return {"parameter_error": abs(statement["parameters"]["after"][name] / true - 1)}
 
 
 RULE = re.compile(r"^(.*) ([<>]) (-?[0-9.e+-]+)( \S+)?$")
@@ -174,10 +174,10 @@ def rows_of(rule: str, features: Mapping[str, Float[np.ndarray, "..."]]) -> Floa
     return values > edge if match[2] == ">" else values < edge
 
 
-def overlap(truth: str, told: Sequence[str], features: Mapping[str, Float[np.ndarray, "..."]]) -> float:
-    """Rows that both the true regime and the first one told hold, of those that either does."""
+def overlap(truth: str, rules: Sequence[str], features: Mapping[str, Float[np.ndarray, "..."]]) -> float:
+    """Rows that both the true regime and the first of the rules hold, of those that either does."""
     a = rows_of(truth, features)
-    b = rows_of(told[0], features) if told else None
+    b = rows_of(rules[0], features) if rules else None
     if a is None or b is None:
         return 0.0
     return float((a & b).sum() / max((a | b).sum(), 1))

@@ -12,7 +12,7 @@ DRAWS = 2000
 CLOSE = 0.05
 """Relative error of a constant that is close."""
 BINS = ((SEEN, 6.0), (6.0, 20.0), (20.0, 60.0), (60.0, 200.0), (200.0, np.inf))
-"""Strengths [nats] that are told apart."""
+"""Strengths [nats] that are distinguished."""
 
 
 class Score(NamedTuple):

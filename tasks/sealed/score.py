@@ -69,22 +69,22 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         if not workspace.record(case).exists():
             continue
         record, key = read_json(workspace.record(case)), opened.keys[case]
-        told = read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
-        row = {"case": case, **judge(key, told, record["seconds"], record["error"])}
+        statement = read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
+        row = {"case": case, **judge(key, statement, record["seconds"], record["error"])}
         row["fault"] = metrics.fault(row)
         if not workspace.has_models:
-            row |= _of_spot(workspace, case, key, told)
+            row |= _of_spot(workspace, case, key, statement)
         found.append(row)
         report(len(found), {})
     return found
 
 
-def _of_spot(workspace: SealedWorkspace, case: str, key: dict[str, Any], told: dict[str, Any] | None) -> Row:
+def _of_spot(workspace: SealedWorkspace, case: str, key: dict[str, Any], statement: dict[str, Any] | None) -> Row:
     """What only the Spot's states can be asked: where a regime lies, and what another method says."""
     state, command = sessions.read(workspace.recordings(case))
     row = baselines.sparse(state, command, key)
-    if key["kind"] == "regime" and told is not None:
-        rules = [r["when"] for r in told["located"]["regimes"]]
+    if key["kind"] == "regime" and statement is not None:
+        rules = [r["when"] for r in statement["located"]["regimes"]]
         row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
     return row
 

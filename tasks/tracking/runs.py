@@ -89,12 +89,14 @@ class Run:
     def scores(self, scores: Mapping[str, float]) -> None:
         """Results, shown beside the run and, if its model was logged before, beside the model.
 
-        One that is told again, as when a policy is tracked anew, comes as the next step; the last one is shown.
+        One that is logged again, as when a policy is tracked anew, comes as the next step; the last one is shown.
         """
         client, run = self.store.client, self.store.client.get_run(self.run_id)
         models = run.outputs.model_outputs if run.outputs else []
-        told = {name: len(client.get_metric_history(self.run_id, name)) for name in scores if name in run.data.metrics}
-        points = [(name, float(value), told.get(name, 0)) for name, value in scores.items()]
+        logged = {
+            name: len(client.get_metric_history(self.run_id, name)) for name in scores if name in run.data.metrics
+        }
+        points = [(name, float(value), logged.get(name, 0)) for name, value in scores.items()]
         self._log(points, models[-1].model_id if models else None)
 
     def _log(self, points: list[tuple[str, float, int]], model_id: str | None) -> None:
@@ -156,7 +158,7 @@ def _run(store: Store, name: str, tags: dict[str, str]) -> Iterator[Run]:
     try:
         yield run
     except BaseException as error:
-        with suppress(StoreError):  # what went wrong first is told; a run left open is closed at the next start
+        with suppress(StoreError):  # what went wrong first is reported; a run left open is closed at the next start
             run.tags({ERROR: f"{type(error).__name__}: {error}"[:ERROR_LENGTH]})
             store.client.set_terminated(run.run_id, "FAILED" if isinstance(error, Exception) else "KILLED")
         raise

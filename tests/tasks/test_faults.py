@@ -263,7 +263,7 @@ def test_a_prefect_server_that_is_gone_costs_the_pages_alone(nobody: str, capsys
         progress = artifacts.Progress("cells", 2)
         progress.done(1)
         artifacts.table("results", [{"nll": 1.0}], "Results")
-    assert capsys.readouterr().out.count("warning: Prefect's pages were not told") == 2
+    assert capsys.readouterr().out.count("warning: Prefect's pages are not updated") == 2
 
 
 def test_a_flow_without_its_prefect_server_says_so(nobody: str, capsys: pytest.CaptureFixture[str]) -> None:

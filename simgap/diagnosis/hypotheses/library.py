@@ -1,4 +1,4 @@
-"""What a law without a name may be made of: smooth functions of what the robot does, where it is, and what it is told.
+"""What a law without a name may be made of: smooth functions of the robot's motion, its place, and its commands.
 
 Waves of one quantity, products of two, one quantity by the sign of another, and waves over the ground.
 """
@@ -52,11 +52,11 @@ class Function(NamedTuple):
 
 def quantities(layout: Layout) -> list[Quantity]:
     """What is measured by `values`, in its order."""
-    moves, told = _moving(layout), [f.name for f in layout.schema.command]
+    moves, commands = _moving(layout), [f.name for f in layout.schema.command]
     names = seen_names(layout)
     places = [Quantity(layout.schema.state[i].name, ground=axis) for i, axis in _places(layout)]
     slow = [Quantity(f"the mean over {tau:g} s of {n}", past=True)
-            for tau in MEMORIES for n in (*told, *(names[i] for i in moves))]  # fmt: skip
+            for tau in MEMORIES for n in (*commands, *(names[i] for i in moves))]  # fmt: skip
     return [*map(Quantity, names), *places, *slow]
 
 

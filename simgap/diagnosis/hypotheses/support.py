@@ -30,7 +30,7 @@ NEVER = When(to_s=0.0)
 """Open in no row: what acts in one session of training is closed in held-out ones."""
 
 
-def told(layout: Layout, when: When) -> str:
+def in_words(layout: Layout, when: When) -> str:
     """In short: `where reach > 0.9 m`, `from 3.2 s on`."""
     return f"where {words(layout, when.regime)}" if when.regime is not None else f"from {when.from_s:.1f} s on"
 

@@ -10,7 +10,7 @@ from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.model import Round, without
 from simgap.diagnosis.inference.noise_effect import Scatter
 from simgap.diagnosis.inference.nonparametric import Law
-from simgap.diagnosis.inference.posterior import Spread, told_from_nil
+from simgap.diagnosis.inference.posterior import Spread, differs_from_zero
 from simgap.diagnosis.inference.whiteness import LeftOver, named_share
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
@@ -44,8 +44,8 @@ class Explanation(NamedTuple):
     def names(self, member: Member) -> bool:
         """Whether an effect explains its outputs, rather than being the nearest word for something else.
 
-        A constant that is not told from nil, though its effect gains, stands for what the simulator's parameters do;
-        what many names fit alike is likely something that has none; and so is what a law explains only where it bends.
+        A constant that does not differ from zero, though its effect gains, stands for what the parameters do; what many
+        names fit alike is likely something that has none; and so is what a law explains only where it bends.
         """
         if member.odds[member.candidate.effect.id] < LIKELY:
             return False
@@ -53,7 +53,7 @@ class Explanation(NamedTuple):
             return False
         nameless = np.maximum(self.left.nats, self.law.nats(self.fit))
         share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
-        return share >= EXPLAINED and told_from_nil(self.problem, self.fit, member.candidate, self.sd)
+        return share >= EXPLAINED and differs_from_zero(self.problem, self.fit, member.candidate, self.sd)
 
     @property
     def anything(self) -> bool:

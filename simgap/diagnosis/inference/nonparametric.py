@@ -1,4 +1,4 @@
-"""A law without a name: bodies are pushed in a way that depends on what they do, where they are, or what they are told.
+"""A law without a name: bodies are pushed in a way that depends on their motion, their place, or their commands.
 
 Every function of the dictionary along every axis is a hypothesis. That is ten thousand, which are not run but made up
 of echoes. As in `screen`, what the model can absorb is projected out and the best is compared with the best by chance,
@@ -91,12 +91,12 @@ def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) ->
         held = held or _rows(_there(model, unseen))
         chosen.append(part)
         better = _with(rows, held, model.fit, chosen)
-        told = f"{part[0].axis} pushed by {' and '.join(part[0].depends_on)}"
+        line = f"{part[0].axis} pushed by {' and '.join(part[0].depends_on)}"
         gained, heldout = (_by_row(model.fit, *pair) for pair in zip(found[1:], better[1:], strict=True))
         if not agrees(gained, float(heldout.sum()) - REQUIRED, model.problem.chunks, required):
-            say(f"{told} does not hold on sessions that took no part")
+            say(f"{line} does not hold on sessions that took no part")
             break
-        say(f"{told} ({gained.sum():+.1f} nats)")
+        say(f"{line} ({gained.sum():+.1f} nats)")
         found = better
     return found
 

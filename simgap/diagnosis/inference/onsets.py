@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.hypotheses.space import Candidate, behind
-from simgap.diagnosis.hypotheses.support import LASTING, When, opened, told
+from simgap.diagnosis.hypotheses.support import LASTING, When, in_words, opened
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.gauss_newton import hold, refine
 from simgap.diagnosis.inference.heldout import gain, seen_at
@@ -60,7 +60,7 @@ def acts_when(
         if more > _owed(best.when) + misfit and (
             best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0
         ):
-            say(f"{best.candidate.name} acts {told(layout, best.when)} ({more:+.1f} nats)")
+            say(f"{best.candidate.name} acts {in_words(layout, best.when)} ({more:+.1f} nats)")
             return best.when
     return None
 
@@ -125,7 +125,7 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
     best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
     if best is None or best.promise <= _owed(best.when):
         return None
-    say(f"{best.candidate.name} acts {told(problem.augmented.layout, best.when)} ({best.promise:+.1f} nats)")
+    say(f"{best.candidate.name} acts {in_words(problem.augmented.layout, best.when)} ({best.promise:+.1f} nats)")
     return best.when
 
 

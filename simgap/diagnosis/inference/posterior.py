@@ -73,17 +73,17 @@ def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
     return said
 
 
-def told_from_nil(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
+def differs_from_zero(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
     """Whether an amplitude of the effect is at least `deviations` standard deviations from zero, and all constants are
     plausible: no larger than credible, and not at a bound (bounds lie beyond what a robot does)."""
-    told = False
+    differs = False
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
         value = abs(value_of(fit.v, group))
         credible = min(constant.credible(site, problem.scales) for site in candidate.sites)
         if value > credible or _at_end(problem, fit, group):
             return False
-        told |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
-    return told
+        differs |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
+    return differs
 
 
 def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
@@ -99,7 +99,7 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
 
     They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
     difference between a law and the robot, whose constant is not known better than that from any number of rows.
-    Of a change since a baseline it is the change that is told: of a delay of 0.10 s that was 0.03 s, 0.07 s.
+    Of a change since a baseline they are the change's: of a delay of 0.10 s that was 0.03 s, 0.07 s.
     """
     found, deviations = [], _deviations(gain)
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):

@@ -160,7 +160,7 @@ def line_of(pieces: Float[np.ndarray, "S t"], k: int, level: float) -> Line:
 
 
 def _left_of_wave(problem: Problem, fit: Fit, output: int, amplitude: float, hertz: float) -> float:
-    """Share of an output's wave that is left in its innovations: some of it is foretold by what is measured of it."""
+    """Share of an output's wave that is left in its innovations: some of it is predicted by what is measured of it."""
     chunks = problem.chunks
     state = chunks.state.copy()
     state[..., output] += amplitude * np.sin(2 * np.pi * hertz * chunks.time_s)

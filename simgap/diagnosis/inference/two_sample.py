@@ -11,7 +11,7 @@ from simgap.diagnosis.hypotheses.support import When
 from simgap.diagnosis.inference.model import Model, Tried
 from simgap.diagnosis.inference.noise import scatter
 from simgap.diagnosis.inference.noise_effect import Scatter
-from simgap.diagnosis.inference.posterior import spread, told_from_nil
+from simgap.diagnosis.inference.posterior import differs_from_zero, spread
 from simgap.diagnosis.inference.whiteness import LeftOver, by_row, left_over
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
@@ -40,7 +40,7 @@ def differs(problem: Problem, tried: Tried, baseline: int) -> bool:
     """
     units = _units(problem.chunks, baseline)
     sd = spread(problem, tried.fit, nuisance_columns(problem, tried.fit.v), units.starts)
-    return told_from_nil(problem, tried.fit, tried.candidate, sd, units.sure)
+    return differs_from_zero(problem, tried.fit, tried.candidate, sd, units.sure)
 
 
 def _units(chunks: Chunks, baseline: int) -> _Units:
@@ -77,7 +77,7 @@ def left_since(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
     more = now - before
     sure = more > units.sure * np.sqrt(its + theirs)
     part = np.where(sure, more / np.maximum(now, 1e-12), 0.0)
-    return LeftOver(np.where(sure, more, 0.0) * since.sum(), part * left.share, part * left.foretold)
+    return LeftOver(np.where(sure, more, 0.0) * since.sum(), part * left.share, part * left.predicted)
 
 
 def leaves(problem: Problem, fit: Fit, baseline: int) -> LeftOver:

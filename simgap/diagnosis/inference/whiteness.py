@@ -1,7 +1,7 @@
-"""What a model leaves over: how far its innovations can be foretold from those before them.
+"""What a model leaves over: how far its innovations can be predicted from those before them.
 
 A model that lacks nothing has white innovations, whatever the noise: none says anything of the next. What can be
-foretold is physics without a name, however it comes about, and the measure of what the names explain.
+predicted is physics without a name, however it comes about, and the measure of what the names explain.
 """
 
 from typing import NamedTuple
@@ -15,15 +15,15 @@ from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.layout import Layout
 
 LAGS = 8
-"""Rows of past innovations to foretell the next from."""
+"""Rows of past innovations to predict the next from."""
 RIDGE = 5.0
 FOLDS = 4
 LEAST_SHARE = 0.02
-"""Share of an output's squared innovations below which what can be foretold is nothing to tell."""
+"""Share of an output's squared innovations below which what can be predicted is nothing to tell."""
 LEAST_NATS = 10.0
 """What must be gained beyond what is gained by chance."""
 DRAWS = 20
-"""Innovations with random signs, which nothing can foretell, to see what is gained by chance."""
+"""Innovations with random signs, which nothing can predict, to see what is gained by chance."""
 TOUCHED = 0.05
 """Share of an effect's gain from which on it is said to improve an output."""
 
@@ -31,13 +31,13 @@ TOUCHED = 0.05
 class LeftOver(NamedTuple):
     """Per decorrelated output, cross-validated, zero where it may be chance.
 
-    nats: gained by foretelling. share: of the squared innovations that is foretold. foretold: the part of every
+    nats: gained by predicting. share: of the squared innovations that is predicted. predicted: the part of every
     innovation.
     """
 
     nats: Float[np.ndarray, " s"]
     share: Float[np.ndarray, " s"]
-    foretold: Float[np.ndarray, "n s"]
+    predicted: Float[np.ndarray, "n s"]
 
 
 def left_over(problem: Problem, fit: Fit) -> LeftOver:
@@ -45,41 +45,41 @@ def left_over(problem: Problem, fit: Fit) -> LeftOver:
     y = np.clip(fit.e / fit.noise.scale, -3, 3)
     session = rows_of(problem.chunks).session
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (DRAWS, len(y), 1))
-    chance = max(_gained(drawn, _foretold(drawn, session))[0].max() for drawn in signs * y)
-    foretold = _foretold(y, session)
-    nats, share = _gained(y, foretold)
+    chance = max(_gained(drawn, _predicted(drawn, session))[0].max() for drawn in signs * y)
+    predicted = _predicted(y, session)
+    nats, share = _gained(y, predicted)
     sure = (share > LEAST_SHARE) & (nats > max(chance, 0.0) + LEAST_NATS)
-    return LeftOver(*(np.where(sure, a, 0.0) for a in (nats, share, foretold * fit.noise.scale)))
+    return LeftOver(*(np.where(sure, a, 0.0) for a in (nats, share, predicted * fit.noise.scale)))
 
 
 def by_row(fit: Fit, left: LeftOver) -> Float[np.ndarray, "n s"]:
-    """What each row has of the log-likelihood that foretelling gains."""
+    """What each row has of the log-likelihood that predicting gains."""
     y = np.clip(fit.e / fit.noise.scale, -3, 3)
-    rest = y - left.foretold / fit.noise.scale
+    rest = y - left.predicted / fit.noise.scale
     before, after = (np.maximum((a**2).mean(0), 1e-12) for a in (y, rest))
     return 0.5 * (y**2 / before - rest**2 / after + np.log(before / after))
 
 
-def _gained(y: Float[np.ndarray, "n s"], foretold: Float[np.ndarray, "n s"]) -> tuple[np.ndarray, np.ndarray]:
-    """Log-likelihood gained [nats], and share of the squares foretold, per column."""
-    share = 1 - ((y - foretold) ** 2).sum(0) / np.maximum((y**2).sum(0), 1e-12)
+def _gained(y: Float[np.ndarray, "n s"], predicted: Float[np.ndarray, "n s"]) -> tuple[np.ndarray, np.ndarray]:
+    """Log-likelihood gained [nats], and share of the squares predicted, per column."""
+    share = 1 - ((y - predicted) ** 2).sum(0) / np.maximum((y**2).sum(0), 1e-12)
     return -0.5 * len(y) * np.log(np.clip(1 - share, 1e-6, None)), share
 
 
-def _foretold(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
+def _predicted(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
     """Ridge regression of each column on its own `LAGS` past values in the session, fitted on the other folds."""
     past = np.zeros((LAGS, *y.shape), y.dtype)
     for k in range(1, min(LAGS, len(y) - 1) + 1):
         past[k - 1, k:] = np.where((session[k:] == session[:-k])[:, None], y[:-k], 0.0)
     fold = np.arange(len(y)) * FOLDS // len(y)
-    foretold = np.zeros_like(y)
+    predicted = np.zeros_like(y)
     for j in range(y.shape[1]):
         x = past[:, :, j].T
         for f in range(FOLDS):
             fitted = fold != f
             gram = x[fitted].T @ x[fitted] + RIDGE * np.eye(LAGS)
-            foretold[~fitted, j] = x[~fitted] @ np.linalg.solve(gram, x[fitted].T @ y[fitted, j])
-    return foretold
+            predicted[~fitted, j] = x[~fitted] @ np.linalg.solve(gram, x[fitted].T @ y[fitted, j])
+    return predicted
 
 
 def touched(layout: Layout, fit: Fit, without: Fit) -> Bool[np.ndarray, " s"]:

@@ -62,7 +62,7 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
 
 
 def _features(problem: Problem, found: Excess) -> tuple[np.ndarray, list[str], list[str]]:
-    """What regimes are told by, and how much each command has changed: late and slow ones show in that."""
+    """What regimes are described by, and how much each command has changed: late and slow ones show in that."""
     fields, sent = problem.augmented.simulator.schema.command, problem.chunks.command
     columns, names, units = [found.features], list(found.names), list(found.units)
     for rows, said in ((1, "a row"), (2, "two rows")):

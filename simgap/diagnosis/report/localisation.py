@@ -21,7 +21,7 @@ from simgap.types import Recording
 MOST_ROWS = 0.6
 """A regime is a part: it has at most this share of the rows."""
 STANDS_OUT = 0.25
-"""A regime is told where its share of the excess exceeds its share of the rows by this much."""
+"""A regime is reported where its share of the excess exceeds its share of the rows by this much."""
 SMOOTH = 15
 """Rows over which the strips of excess are averaged."""
 
@@ -94,18 +94,18 @@ def intervals(found: Excess, recordings: Sequence[Recording]) -> list[dict]:
     """Sessions, or stretches of one, that hold most of the excess of several."""
     per_row = found.nats.sum(1)
     total = per_row.sum()
-    told = []
+    reported = []
     if total <= 0 or len(recordings) < 2:
-        return told
+        return reported
     for s, r in enumerate(recordings):
         mine = np.flatnonzero(found.session == s)
         share, rows = per_row[mine].sum() / total, len(mine) / len(per_row)
         if len(mine) and share > 0.6 and share > 2.5 * rows:
             start, stop = _stretch(per_row[mine])
             times = r.time_s[np.minimum(found.row[mine], len(r.time_s) - 1)]
-            told.append({"session": r.name, "from_s": float(times[start]), "to_s": float(times[stop]),
+            reported.append({"session": r.name, "from_s": float(times[start]), "to_s": float(times[stop]),
                          "share": float(min(per_row[mine[start : stop + 1]].sum() / total, 1.0))})  # fmt: skip
-    return told
+    return reported
 
 
 def _stretch(values: np.ndarray) -> tuple[int, int]:
@@ -140,7 +140,7 @@ def heat(augmented: Augmented, found: Excess) -> dict:
 
 def strips(found: Excess, recordings: Sequence[Recording], heldout: bool) -> list[dict]:
     """Excess over time in every session, smoothed."""
-    per_row, told = found.nats.sum(1), []
+    per_row, reported = found.nats.sum(1), []
     for s, r in enumerate(recordings):
         mine = np.flatnonzero(found.session == s)
         if len(mine) < 2:
@@ -148,5 +148,5 @@ def strips(found: Excess, recordings: Sequence[Recording], heldout: bool) -> lis
         width = min(SMOOTH, len(mine))
         smooth = np.convolve(per_row[mine], np.ones(width) / width, mode="same")
         times = r.time_s[np.minimum(found.row[mine], len(r.time_s) - 1)] - r.time_s[0]
-        told.append({"session": r.name, "heldout": heldout, "time_s": times, "excess": smooth})
-    return told
+        reported.append({"session": r.name, "heldout": heldout, "time_s": times, "excess": smooth})
+    return reported

@@ -1,4 +1,4 @@
-"""A diagnosis as it is told: the statement that becomes diagnosis.json, and the numbers behind its pictures."""
+"""A diagnosis as it is reported: the statement that becomes diagnosis.json, and the numbers behind its pictures."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -73,7 +73,7 @@ def statement(
     matches = [possible and not sure for possible, sure in zip(concluded.possible, concluded.named, strict=True)]
     doubtful = [e for (m, e), match in zip(members, matches, strict=True) if match and _matches(found, m, e)]
     (effects if verdict == "missing_physics" else doubtful).extend(_scattered(s) for s in found.scattered)
-    told = {
+    content = {
         "schema": 1, "simulator": name, "verdict": verdict,
         "recordings": {
             "training_sessions": [r.name for r in sessions.training],
@@ -100,8 +100,8 @@ def statement(
         "sensitivity": sensitivity_of(outcome.seen), "rounds": rounds_of(found), "untested": untested_of(found),
         "notes": notes_of(found, sessions),
     }  # fmt: skip
-    told |= {"insufficient": wording.insufficient(told)}
-    return {**told, "warnings": wording.warnings(told), "statement": wording.statement(told)}
+    content |= {"insufficient": wording.insufficient(content)}
+    return {**content, "warnings": wording.warnings(content), "statement": wording.statement(content)}
 
 
 def evidence(found: Explanation, sessions: Sessions, outcome: Outcome, plan: Plan | None) -> dict[str, Any]:
@@ -130,10 +130,10 @@ def _matches(found: Explanation, member: Member, effect: dict[str, Any]) -> bool
 
 
 def _left(found: Explanation, left: LeftOver) -> dict[str, Any]:
-    """What can still be foretold of the innovations, by output."""
+    """What can still be predicted of the innovations, by output."""
     fields = found.problem.augmented.simulator.schema.outputs
-    told = [{"name": f.name, "share": float(p)} for f, p in zip(fields, left.share, strict=True) if p]
-    return {"nats": float(left.nats.sum()), "outputs": sorted(told, key=lambda o: -o["share"])}
+    outputs = [{"name": f.name, "share": float(p)} for f, p in zip(fields, left.share, strict=True) if p]
+    return {"nats": float(left.nats.sum()), "outputs": sorted(outputs, key=lambda o: -o["share"])}
 
 
 def _law(found: Explanation) -> list[dict[str, Any]]:
@@ -145,7 +145,7 @@ def _excess(found: Explanation, outcome: Outcome, chunks: Chunks) -> localisatio
     """What the best explanation gains over the refitted simulator: named physics, or else what names nothing.
 
     Of the latter, the best one: the black box, or the effects together with a law without a name, or with what can be
-    foretold of what they leave.
+    predicted of what they leave.
     """
     problem = found.problem._replace(chunks=chunks)
     base, fitted = (raw_innovations(problem, f.v) for f in (found.base, found.fit))
@@ -165,7 +165,7 @@ def _excess(found: Explanation, outcome: Outcome, chunks: Chunks) -> localisatio
 
     nameless = (
         base - predicted[..., : base.shape[-1]],
-        less(left_over(problem, seen).foretold),
+        less(left_over(problem, seen).predicted),
         less(seen.e - with_law),
     )
     return max((localisation.excess(problem.augmented, chunks, base, e) for e in nameless), key=lambda e: e.nats.sum())
@@ -233,10 +233,10 @@ def _regimes(found: Explanation, where: localisation.Excess) -> list[dict[str, A
 
 def _intervals(found: Explanation, where: localisation.Excess, fitted: Sequence[Recording]) -> list[dict[str, Any]]:
     """When effects act that do not act throughout; else where the excess is, if it is in one place."""
-    told = []
+    intervals = []
     for when in (m.when for m in found.members if m.when is not None and m.when.regime is None):
         for s, r in enumerate(fitted):
             if when.session in (None, s) and r.time_s[-1] - r.time_s[0] > when.from_s:
                 end = min(when.to_s, float(r.time_s[-1] - r.time_s[0]))
-                told.append({"session": r.name, "from_s": when.from_s, "to_s": end, "share": None})
-    return told or localisation.intervals(where, fitted)
+                intervals.append({"session": r.name, "from_s": when.from_s, "to_s": end, "share": None})
+    return intervals or localisation.intervals(where, fitted)

@@ -63,9 +63,9 @@ def law(term: dict[str, Any]) -> str:
     return f"a push on {term['axis']} depends on {' and '.join(term['depends_on'])}"
 
 
-def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
+def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
     """Why the recordings cannot show whether something is missing, and what would help."""
-    seen, reasons = told["sensitivity"], []
+    seen, reasons = diagnosis["sensitivity"], []
 
     def add(reason: str, remedy: str) -> None:
         reasons.append({"reason": reason, "remedy": remedy})
@@ -76,13 +76,13 @@ def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
             f"{seen['least_segments']} on",
             f"Record at least {seen['least_rows']} rows in the sessions that are fitted",
         )
-    if not told["fit"]["models"]:
+    if not diagnosis["fit"]["models"]:
         add(
             "the held-out sessions are too short to judge a forecast by",
-            f"Record held-out sessions of at least {told['fit']['least_rows']} rows",
+            f"Record held-out sessions of at least {diagnosis['fit']['least_rows']} rows",
         )
-    if beyond := told["parameters"]["beyond"]:
-        low, high = ({name: ends[k] for name, ends in told["parameters"]["ranges"].items()} for k in (0, 1))
+    if beyond := diagnosis["parameters"]["beyond"]:
+        low, high = ({name: ends[k] for name, ends in diagnosis["parameters"]["ranges"].items()} for k in (0, 1))
         values = [f"{n} = {number(v)} (range {number(low[n])} to {number(high[n])})" for n, v in beyond.items()]
         add(
             f"parameters outside their declared ranges would explain the recordings: {listed(values)}",
@@ -102,12 +102,12 @@ def insufficient(told: dict[str, Any]) -> list[dict[str, str]]:
     return reasons
 
 
-def warnings(told: dict[str, Any]) -> list[str]:
+def warnings(diagnosis: dict[str, Any]) -> list[str]:
     """What a reader must know before any number on the page."""
-    models, lines = told["fit"]["models"], []
+    models, lines = diagnosis["fit"]["models"], []
     of = {"as_is": "the simulator as it is", "refitted": "the refitted simulator",
           "augmented": "the simulator with the effects"}  # fmt: skip
-    for worse in told["fit"]["worse"]:
+    for worse in diagnosis["fit"]["worse"]:
         for steps in worse["at"]:
             before, after = (models[m][f"error_{steps}"]["value"] for m in (worse["than"], worse["model"]))
             lines.append(
@@ -117,35 +117,35 @@ def warnings(told: dict[str, Any]) -> list[str]:
     return lines
 
 
-def statement(told: dict[str, Any]) -> str:
+def statement(diagnosis: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
-    lines = _VERDICTS[told["verdict"]](told)
-    if told["resembles"]:
-        lines += " Closest match, which explains only part of the mismatch: " + _statements(told["resembles"])
-    if told["verdict"] == "missing_physics":
-        lines += _improvement(told["fit"]["models"])
+    lines = _VERDICTS[diagnosis["verdict"]](diagnosis)
+    if diagnosis["resembles"]:
+        lines += " Closest match, which explains only part of the mismatch: " + _statements(diagnosis["resembles"])
+    if diagnosis["verdict"] == "missing_physics":
+        lines += _improvement(diagnosis["fit"]["models"])
     return lines
 
 
-def _nothing(told: dict[str, Any]) -> str:
-    return "Nothing is missing: the simulator and the recordings differ by noise." + _would_show(told)
+def _nothing(diagnosis: dict[str, Any]) -> str:
+    return "Nothing is missing: the simulator and the recordings differ by noise." + _would_show(diagnosis)
 
 
-def _parameters_only(told: dict[str, Any]) -> str:
-    return "No physics is missing; the simulator's parameters were off and are refitted." + _would_show(told)
+def _parameters_only(diagnosis: dict[str, Any]) -> str:
+    return "No physics is missing; the simulator's parameters were off and are refitted." + _would_show(diagnosis)
 
 
-def _inconclusive(told: dict[str, Any]) -> str:
-    reasons = "; ".join(r["reason"] for r in told["insufficient"])
-    remedies = ". ".join(r["remedy"] for r in told["insufficient"])
-    moved = " Other parameters fit the held-out sessions better." if told["parameters"]["moved"] else ""
+def _inconclusive(diagnosis: dict[str, Any]) -> str:
+    reasons = "; ".join(r["reason"] for r in diagnosis["insufficient"])
+    remedies = ". ".join(r["remedy"] for r in diagnosis["insufficient"])
+    moved = " Other parameters fit the held-out sessions better." if diagnosis["parameters"]["moved"] else ""
     return f"Cannot say whether physics is missing: {reasons}. {remedies}.{moved}"
 
 
-def _unexplained(told: dict[str, Any]) -> str:
-    where = ", ".join(o["name"] for o in told["located"]["outputs"][:3])
-    depends = ", ".join(d["input"] for d in told["located"]["depends_on"][:3])
-    better_at = told["fit"]["black_box_better_at"]
+def _unexplained(diagnosis: dict[str, Any]) -> str:
+    where = ", ".join(o["name"] for o in diagnosis["located"]["outputs"][:3])
+    depends = ", ".join(d["input"] for d in diagnosis["located"]["depends_on"][:3])
+    better_at = diagnosis["fit"]["black_box_better_at"]
     return (
         "Something is missing that the vocabulary does not explain."
         + (f" It shows in {where}." if where else "")
@@ -155,17 +155,17 @@ def _unexplained(told: dict[str, Any]) -> str:
     )  # fmt: skip
 
 
-def _missing_physics(told: dict[str, Any]) -> str:
-    lines = f"The simulator leaves out: {_statements(told['effects'])}"
+def _missing_physics(diagnosis: dict[str, Any]) -> str:
+    lines = f"The simulator leaves out: {_statements(diagnosis['effects'])}"
     more = []
-    if told["left_over"]["outputs"]:
-        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in told["left_over"]["outputs"][:3]]
+    if diagnosis["left_over"]["outputs"]:
+        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in diagnosis["left_over"]["outputs"][:3]]
         more.append(f"{listed(shares)} can be predicted from the rows before")
-    more += [law(term) for term in told["law"]]
-    if told["something_else"] or more:
+    more += [law(term) for term in diagnosis["law"]]
+    if diagnosis["something_else"] or more:
         lines += " Something else is missing as well" + (f": {'; '.join(more)}." if more else ".")
-    acts_in = [e["regime"] for e in told["effects"]]
-    elsewhere = [r for r in told["located"]["regimes"] if r["when"] not in acts_in]
+    acts_in = [e["regime"] for e in diagnosis["effects"]]
+    elsewhere = [r for r in diagnosis["located"]["regimes"] if r["when"] not in acts_in]
     if elsewhere:
         rule = elsewhere[0]
         lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."
@@ -185,9 +185,9 @@ def _statements(effects: Sequence[dict[str, Any]]) -> str:
     return " ".join(e["statement"] for e in effects)
 
 
-def _would_show(told: dict[str, Any]) -> str:
+def _would_show(diagnosis: dict[str, Any]) -> str:
     """What would have been found, and at what size: the first effect of every place where laws act."""
-    seen, place_of = told["sensitivity"], {e.id: e.place for e in CATALOGUE}
+    seen, place_of = diagnosis["sensitivity"], {e.id: e.place for e in CATALOGUE}
     first: dict[str, dict[str, Any]] = {}
     for v in seen["effects"]:
         if v["size"] is not None:

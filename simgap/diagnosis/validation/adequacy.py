@@ -7,7 +7,7 @@ import numpy as np
 from simgap.diagnosis.config import EXPLAINED, LARGE, LIKELY, WELL_DETERMINED
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.posterior import told_from_nil
+from simgap.diagnosis.inference.posterior import differs_from_zero
 from simgap.diagnosis.inference.whiteness import touched
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.scores import Judged, Judgement
@@ -104,7 +104,7 @@ def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged,
     """Whether an effect improves held-out forecasts at every horizon, by much at one, with its constant well known."""
     if m.odds[m.candidate.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
         return False
-    if not told_from_nil(found.problem, found.fit, m.candidate, found.sd, WELL_DETERMINED):
+    if not differs_from_zero(found.problem, found.fit, m.candidate, found.sd, WELL_DETERMINED):
         return False
     outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
     removed = scores.changes(without, with_it, rng, outputs)

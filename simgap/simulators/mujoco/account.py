@@ -44,14 +44,21 @@ def account(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
     return {**statement, "notes": notes, "parameters": parameters, "patched": written}
 
 
-def _from_start(engine: MujocoEngine, told: Mapping[str, Any]) -> dict[str, Any]:
+def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:
     """The statement as one on the model, where the diagnosis started from another stiffness of its servos."""
     start = rescaling(engine)
     if not start:
-        return dict(told)
+        return dict(statement)
     # What needs no more than the new stiffness is still a model whose parameters were off.
-    told = {**told, "verdict": "parameters_only" if told["verdict"] == "nothing" else told["verdict"]}
-    return {**told, "warnings": [start, *told["warnings"]], "statement": f"{start} {wording.statement(told)}"}
+    statement = {
+        **statement,
+        "verdict": "parameters_only" if statement["verdict"] == "nothing" else statement["verdict"],
+    }
+    return {
+        **statement,
+        "warnings": [start, *statement["warnings"]],
+        "statement": f"{start} {wording.statement(statement)}",
+    }
 
 
 def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], folder: Path) -> Patched:
@@ -82,7 +89,7 @@ def _is_of(term: Term, effect: Mapping[str, Any], terms: Sequence[Term]) -> bool
     return term.effect == effect["id"] and here
 
 
-def _sizes(engine: MujocoEngine, told: Mapping[str, Any]) -> dict[str, Any]:
+def _sizes(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:
     """A statement's parameters, which are logarithms of shares, as sizes with units; and each change in words."""
     of = {s.name: s.of for s in engine.scaled}  # what the model sets, wherever the diagnosis started
 
@@ -90,8 +97,8 @@ def _sizes(engine: MujocoEngine, told: Mapping[str, Any]) -> dict[str, Any]:
         return {name: (of[name] * np.exp(value)).tolist() for name, value in values.items()}
 
     return {
-        **told,
-        "before": of, **{part: size(told[part]) for part in ("after", "ci95", "ranges")},
+        **statement,
+        "before": of, **{part: size(statement[part]) for part in ("after", "ci95", "ranges")},
         "units": {s.name: s.unit for s in engine.scaled},
-        "in_words": engine.words(np.array([told["after"][s.name] for s in engine.scaled])),
+        "in_words": engine.words(np.array([statement["after"][s.name] for s in engine.scaled])),
     }  # fmt: skip

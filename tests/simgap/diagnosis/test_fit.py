@@ -114,7 +114,7 @@ def test_a_constant_at_a_bound_names_nothing(key: str, value: float, names: bool
         v = with_value(v, g, value)
     fit = evaluate(of, v, candidate.groups)
     sd = posterior.Spread(np.zeros(24), np.full(len(candidate.groups), 0.01), np.ones(24, bool))
-    assert posterior.told_from_nil(of, fit, candidate, sd) == names
+    assert posterior.differs_from_zero(of, fit, candidate, sd) == names
     assert posterior.determined(of, fit, candidate, sd, 100.0) == names
 
 

@@ -37,7 +37,7 @@ def test_nothing_is_foretold_of_noise(of: Problem, seed: int, dof: float) -> Non
     left = left_over(of, fit(of, np.random.default_rng(seed).standard_t(dof, size(of))))
     assert not left.nats.any()
     assert not left.share.any()
-    assert not left.foretold.any()
+    assert not left.predicted.any()
 
 
 @pytest.mark.parametrize("memory", [0.5, 0.9])
@@ -52,7 +52,7 @@ def test_of_a_drift_theory_says_how_much(of: Problem, memory: float) -> None:
     assert np.flatnonzero(left.nats).tolist() == [4]
     assert left.share[4] == pytest.approx(memory**2, abs=0.12)
     assert left.nats[4] == pytest.approx(-n / 2 * np.log(1 - left.share[4]))
-    np.testing.assert_allclose(np.corrcoef(left.foretold[1:, 4], e[:-1, 4])[0, 1], 1, atol=0.1)
+    np.testing.assert_allclose(np.corrcoef(left.predicted[1:, 4], e[:-1, 4])[0, 1], 1, atol=0.1)
 
 
 @pytest.mark.parametrize("before", [True, False])
