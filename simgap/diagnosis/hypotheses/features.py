@@ -13,14 +13,14 @@ from simgap.rows import by_row
 
 def of_rows(layout: Layout, chunks: Chunks) -> Float[np.ndarray, "n f"]:
     """The features of every row that counts, at the beginning of the step to it."""
-    counts = chunks.counts
+    counts = np.asarray(chunks.counts)
     state, command = (np.asarray(a)[:, :-1][counts] for a in (chunks.state, chunks.command))
     return by_row(values, layout, state, command)
 
 
 def inside(layout: Layout, regime: Regime, chunks: Chunks) -> Bool[np.ndarray, "C T"]:
     """The rows of chunks that are in the regime."""
-    feature = by_row(values, layout, chunks.state, chunks.command)[..., regime.feature]
+    feature = by_row(values, layout, np.asarray(chunks.state), np.asarray(chunks.command))[..., regime.feature]
     return regime.side * (feature - regime.edge) > 0
 
 

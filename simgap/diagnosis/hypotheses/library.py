@@ -64,7 +64,7 @@ def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
     """All quantities in every row of the chunks: of the state, as it is estimated."""
     layout, chunks = problem.augmented.layout, problem.chunks
     state = estimates(problem, v)
-    command = chunks.command[:, :-1]
+    command = np.asarray(chunks.command)[:, :-1]
     now = by_row(seen, layout, state, command)
     places = state[..., [i for i, _ in _places(layout)]]
     # Commands are known for a while before a chunk, motion is not.
@@ -76,7 +76,7 @@ def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
 
 def sent_until(chunks: Chunks) -> Float[np.ndarray, "C h+T-1 u"]:
     """The commands of every row but the last, with those before the chunk, the earliest first."""
-    return np.concatenate([chunks.past[:, ::-1], chunks.command[:, :-1]], axis=1)
+    return np.concatenate([np.asarray(chunks.past)[:, ::-1], np.asarray(chunks.command)[:, :-1]], axis=1)
 
 
 def _moving(layout: Layout) -> list[int]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -38,15 +39,15 @@ def in_words(layout: Layout, when: When) -> str:
 def opened(layout: Layout, chunks: Chunks, supports: Sequence[When]) -> Chunks:
     """Chunks with a gate for each support; a single one, always open, where there are none."""
     gates = [_gate(layout, chunks, when) for when in supports or [When()]]
-    return chunks._replace(gate=np.stack(gates, axis=1).astype(np.float32))
+    return chunks._replace(gate=jnp.asarray(np.stack(gates, axis=1), jnp.float32))
 
 
 def _gate(layout: Layout, chunks: Chunks, when: When) -> Bool[np.ndarray, "C T"]:
     """Where an effect acts; in a regime, as measured."""
-    time = chunks.time_s
+    time = np.asarray(chunks.time_s)
     acts = (time >= when.from_s) & (time < when.to_s)
     if when.session is not None:
-        acts &= (chunks.session == when.session)[:, None]
+        acts &= (np.asarray(chunks.session) == when.session)[:, None]
     if when.regime is not None:
         acts &= inside(layout, when.regime, chunks)
     return acts

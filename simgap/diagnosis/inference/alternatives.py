@@ -106,7 +106,7 @@ def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:
 
 def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
     """Probability of each effect id, by its best hypothesis, the first one tried being the best of all."""
-    starts = blocks(problem.chunks.counts)
+    starts = blocks(np.asarray(problem.chunks.counts))
     best: dict[str, Tried] = {}
     for t in tried:
         value = best.get(t.candidate.effect.id)

@@ -84,7 +84,7 @@ def explain(
     augmented, baseline = Augmented(simulator), sessions.baseline
     scales, time_step = measure(augmented, sessions.fitted), simulator.time_step
     chunks = behind_gate(cut(sessions.fitted, time_step), len(baseline))
-    unseen = cut(sessions.heldout, time_step)
+    unseen = cut(sessions.heldout, time_step, least=len(chunks.row))
     problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
     problem = _tabulated(problem, before)
     chunks = problem.chunks
@@ -138,7 +138,7 @@ def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:
     """The simulator with the effects that the baseline shows by itself, evaluated on all sessions."""
     asked.say(f"what the baseline of {len(baseline)} sessions shows by itself")
-    chunks = cut(baseline, problem.scales.time_step)
+    chunks = cut(baseline, problem.scales.time_step, least=len(asked.chunks.row))
     before, v = problem._replace(chunks=chunks), asked.as_is.v
     # No session of the baseline is held out.
     always = lambda *_: True  # noqa: E731

@@ -7,6 +7,7 @@ in every row add up to what any law of pushes, however it varies from row to row
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -59,7 +60,7 @@ def _echo(problem: Problem, v: Variables, still: Float[np.ndarray, "C T-1 s"], d
     def change(first: int) -> Float[np.ndarray, "C T-1 s"]:
         gate = np.zeros(chunks.gate.shape, np.float32)
         gate[..., first::ROWS] = 1.0
-        with_pushes = problem._replace(chunks=chunks._replace(gate=gate))
+        with_pushes = problem._replace(chunks=chunks._replace(gate=jnp.asarray(gate)))
         return (raw_innovations(with_pushes, pushed) - still) / size @ problem.whiten.T.astype(np.float32)
 
     chunk, rows, outputs = still.shape
@@ -77,7 +78,7 @@ def direction(problem: Problem, echo: Echo, pushes: Sequence[Float[np.ndarray, "
     d = each * echo[:, :, 0]
     for k in range(1, ROWS):
         d[:, :, k:] += each[:, :, :-k] * echo[:, :-k, k]
-    return d[:, problem.chunks.counts]
+    return d[:, np.asarray(problem.chunks.counts)]
 
 
 class Heard(NamedTuple):
@@ -100,7 +101,7 @@ def hear(
     basis: Float[np.ndarray, "n*s r"],
 ) -> Heard:
     """Of one axis; `root` are the roots of the weights, that residual and basis hold already."""
-    counts = problem.chunks.counts
+    counts = np.asarray(problem.chunks.counts)
 
     def placed(rows: np.ndarray) -> np.ndarray:
         """What belongs to rows that count, in the chunks, and nothing behind their ends."""

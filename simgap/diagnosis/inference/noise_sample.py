@@ -87,7 +87,7 @@ def _subsystems(layout: Layout) -> list[list[int]]:
 def sample_of(problem: Problem, fit: Fit) -> Sample:
     chunks = problem.chunks
     layout, scales = problem.augmented.layout, problem.scales
-    counts = chunks.counts
+    counts = np.asarray(chunks.counts)
     # As predicted: what was measured in a row holds the row's own noise, and would be large where that is.
     state = np.array(chunks.state)[:, 1:]
     outputs = len(problem.whiten)

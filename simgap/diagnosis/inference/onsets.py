@@ -108,7 +108,7 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
     problem = model.problem
     rows, found = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
     score, power, two_sided = screening.evidence
-    starts = blocks(problem.chunks.counts)
+    starts = blocks(np.asarray(problem.chunks.counts))
     looks = [*_later(rows), *_beyond(found)]
     # One by one: all rows for all of these looks would be gigabytes.
     each = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]

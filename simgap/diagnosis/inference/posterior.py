@@ -51,7 +51,7 @@ def spread(
     scale = np.sqrt(np.diag(hessian))
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     rows = (weighted * fit.e).sum(-1)
-    starts = blocks(problem.chunks.counts) if starts is None else starts
+    starts = blocks(np.asarray(problem.chunks.counts)) if starts is None else starts
     score = np.add.reduceat(rows, starts, axis=1)
     sandwich = inverse @ (score @ score.T) @ inverse
     sd = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(sandwich)), 0.0))
@@ -99,7 +99,7 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
 
     They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
     difference between a law and the robot, whose constant is not known better than that from any number of rows.
-    Of a change since a baseline they are the change's: of a delay of 0.10 s that was 0.03 s, 0.07 s.
+    Of an effect that changed since a baseline they are of the change: 0.07 s where a delay of 0.03 s became 0.10 s.
     """
     found, deviations = [], _deviations(gain)
     for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):

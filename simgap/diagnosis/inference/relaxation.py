@@ -74,7 +74,7 @@ def relaxations(
 ) -> Float[np.ndarray, "K n s"]:
     """Directions in which the innovations may deviate from the effects' laws, each by about one."""
     problem, fit, _ = model
-    layout, counts = problem.augmented.layout, problem.chunks.counts
+    layout, counts = problem.augmented.layout, np.asarray(problem.chunks.counts)
     known, z = quantities(layout), values(problem, fit.v)
     places = [(effect.effect.bends, *each) for effect in effects for each in _alone(problem, effect)]
     heard = own_echoes(problem, fit.v, {axis for _, _, place in places for axis in place.axes(layout)})
@@ -122,7 +122,7 @@ def _about_zero(values: Float[np.ndarray, "C T-1"]) -> list[Float[np.ndarray, "C
 def _responses(problem: Problem, place: Place) -> list[Float[np.ndarray, "C T-1"]]:
     """Pushes by the commands of the rows before: whatever the response to them is, it is made of these."""
     commands, sent = [f.name for f in problem.augmented.layout.schema.command], sent_until(problem.chunks)
-    first, end = problem.chunks.past.shape[1], sent.shape[1]
+    first, end = np.asarray(problem.chunks.past).shape[1], sent.shape[1]
     return [
         sent[:, first - lag : end - lag, commands.index(name)]
         for name in place.channels

@@ -76,8 +76,8 @@ def _log_t(z2: Float[np.ndarray, "n s"], noise: Noise, dof: Float[np.ndarray, " 
     return (constant - (dof + 1) / 2 * np.log1p(z2 / dof)).astype(np.float32)
 
 
-def _across(x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
-    """Sums over the columns; as a product, which for so few takes a fifth of the time."""
+def _over_columns(x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+    """Sums over the columns; as a product, which for so few takes a third of the time."""
     return x @ np.ones(x.shape[1], x.dtype)
 
 
@@ -95,7 +95,7 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
     widths = np.array([1.0, *WIDE], np.float32)
     squares = [(z / w) ** 2 for w in widths]
     each = [_log_t(z2, noise, dof) - np.log(w) for z2, w in zip(squares, widths, strict=True)]
-    columns = [_across(each[0])]
+    columns = [_over_columns(each[0])]
     for group in law.groups:
         inside = np.isin(np.arange(s), group).astype(np.float32)
         columns += [x @ inside + each[0] @ (1 - inside) for x in each[1:]]
@@ -107,7 +107,7 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
         extra = 0.0
         if curvature is not None:
             extra = -0.5 * (((a - mixture.mean) / mixture.sd) ** 2 + np.log(mixture.sd**2 * curvature))
-        columns.append(_across(_log_t(z2, noise, dof)) + extra)
+        columns.append(_over_columns(_log_t(z2, noise, dof)) + extra)
         if curvature is not None:  # the amplitude is not known exactly
             z2 = z2 + d**2 / curvature[:, None]
         squares.append(z2)
@@ -116,10 +116,10 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
         joint = np.column_stack(columns).astype(np.float64) + np.log(mixture.shares)
     peak = joint.max(1)
     chance = np.exp(joint - peak[:, None])
-    whole = _across(chance)
+    whole = _over_columns(chance)
     total = peak + np.log(whole)
     chance /= whole[:, None]
-    total = total - _across(np.broadcast_to(np.log(width), (n, s)))
+    total = total - _over_columns(np.broadcast_to(np.log(width), (n, s)))
     belong = _belonging(law, chance.astype(np.float32), s)
     # Of every output: r (u z^2 - 1), with u = (dof + 1) / (dof + z^2).
     weight, by_scale = np.zeros(s), np.full((n, s), -1.0, np.float32)
@@ -131,7 +131,7 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
     spread = n + _over_rows(by_scale)
     by_slope = np.zeros(n)
     if law.moving is not None:
-        by_slope = _across(by_scale * (mixture.slope * law.moving / width))
+        by_slope = _over_columns(by_scale * (mixture.slope * law.moving / width))
     by_sd, sd = np.zeros(n), mixture.sd
     if law.free:
         r = chance[:, -len(law.shifts) :]
@@ -151,8 +151,8 @@ def _amplitudes(
     a, curvature = np.full(len(z), mixture.mean, np.float32), np.full(len(z), prior)
     for _ in range(NEWTON):
         weighted = d * (dof + 1) / (dof + (z - a[:, None] * d) ** 2)
-        curvature = _across(weighted * d) + prior
-        a = (_across(weighted * z) + prior * np.float32(mixture.mean)) / curvature
+        curvature = _over_columns(weighted * d) + prior
+        a = (_over_columns(weighted * z) + prior * np.float32(mixture.mean)) / curvature
     return a, curvature
 
 

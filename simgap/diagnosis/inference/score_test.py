@@ -114,7 +114,7 @@ def screen(
     residual = fit.e.reshape(-1) * root
     residual = residual - basis @ (basis.T @ residual)
     low, _ = problem.augmented.bounds
-    starts = blocks(problem.chunks.counts)
+    starts = blocks(np.asarray(problem.chunks.counts))
 
     def batch(some: Sequence[_Direction]) -> list[_Tested]:
         """Scores and powers of directions, but of those whose start explodes."""

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit
@@ -79,7 +80,7 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
 def _pieces(problem: Problem, fit: Fit) -> _Pieces:
     raw = evaluate(problem._replace(whiten=np.eye(len(problem.whiten))), fit.v, fit.groups, fit.noise).e
     chunks, rows = problem.chunks, rows_of(problem.chunks)
-    command = chunks.command[:, :-1][chunks.counts]
+    command = np.asarray(chunks.command)[:, :-1][np.asarray(chunks.counts)]
     window, both = np.hanning(SEGMENT)[:, None], np.hstack([raw, command])
     found = [
         window * (piece - piece.mean(0))
@@ -162,9 +163,8 @@ def line_of(pieces: Float[np.ndarray, "S t"], k: int, level: float) -> Line:
 def _left_of_wave(problem: Problem, fit: Fit, output: int, amplitude: float, hertz: float) -> float:
     """Share of an output's wave that is left in its innovations: some of it is predicted by what is measured of it."""
     chunks = problem.chunks
-    state = chunks.state.copy()
-    state[..., output] += amplitude * np.sin(2 * np.pi * hertz * chunks.time_s)
-    shaken = problem._replace(chunks=chunks._replace(state=state))
+    wave = amplitude * jnp.sin(2 * jnp.pi * hertz * chunks.time_s)
+    shaken = problem._replace(chunks=chunks._replace(state=chunks.state.at[..., output].add(wave)))
     added = counted(chunks, raw_innovations(shaken, fit.v) - raw_innovations(problem, fit.v))[:, output]
     return float(np.sqrt(2 * np.mean(added**2)) / amplitude)
 

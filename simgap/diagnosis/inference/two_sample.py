@@ -21,7 +21,7 @@ from simgap.types import Sessions
 
 def behind_gate(chunks: Chunks, baseline: int) -> Chunks:
     """With one support, open in the sessions after those of the baseline only."""
-    since = (chunks.session >= baseline)[:, None, None]
+    since = (np.asarray(chunks.session) >= baseline)[:, None, None]
     return chunks._replace(gate=np.broadcast_to(since, chunks.gate.shape).astype(np.float32))
 
 
@@ -45,7 +45,7 @@ def differs(problem: Problem, tried: Tried, baseline: int) -> bool:
 
 def _units(chunks: Chunks, baseline: int) -> _Units:
     """Of the two sets: the first so many sessions, and the others."""
-    length, session = chunks.counts.sum(1), chunks.session
+    length, session = np.asarray(chunks.counts).sum(1), np.asarray(chunks.session)
     unit = np.where(length > 0, session, -1)
     if _fewest(unit, session < baseline) < LEAST_SESSIONS:
         unit = np.where(length > 0, np.arange(len(length)), -1)
@@ -88,8 +88,8 @@ def leaves(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
 def scatter_since(model: Model, sessions: Sessions, unseen: Chunks) -> list[Scatter]:
     """Effects on the scatter that the baseline does not have as well."""
     problem, fit, _ = model
-    time_step = problem.augmented.simulator.time_step
-    after, before = (cut(some, time_step) for some in (sessions.training, sessions.baseline))
+    time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
+    after, before = (cut(some, time_step, least) for some in (sessions.training, sessions.baseline))
     at = problem._replace(chunks=after)
     return scatter(at, evaluate(at, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate))
 

@@ -19,7 +19,7 @@ LAGS = 8
 RIDGE = 5.0
 FOLDS = 4
 LEAST_SHARE = 0.02
-"""Share of an output's squared innovations below which what can be predicted is nothing to tell."""
+"""Share of an output's squared innovations below which what can be predicted counts as nothing."""
 LEAST_NATS = 10.0
 """What must be gained beyond what is gained by chance."""
 DRAWS = 20

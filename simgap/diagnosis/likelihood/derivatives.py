@@ -72,7 +72,7 @@ def constant_columns(problem: Problem, v: Variables, groups: Sequence[Group]) ->
     """Derivatives by constants (in scales) as central differences, wide enough to see over kinks; one-sided at a bound,
     and zero where the simulator leaves the finite numbers."""
     if not groups:
-        return np.zeros((0, int(problem.chunks.counts.sum()), len(problem.whiten)), np.float32)
+        return np.zeros((0, int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)), np.float32)
     plus, minus, width = [], [], []
     for group in groups:
         value = value_of(v, group)

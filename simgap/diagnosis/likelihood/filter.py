@@ -21,12 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.segments import Chunks, in_batches
+from simgap.diagnosis.likelihood.segments import Chunks, bare
 from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.step import follow, unsense
-from simgap.effects.stepping import terms_of
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 
@@ -73,7 +72,7 @@ def acting(v: Variables, theta: Theta, gate: Sequence[Float[Array, ""]] | Float[
     return theta
 
 
-def run(
+def _chunk(
     augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, other: Theta | None = None
 ) -> tuple[Float[Array, "T-1 s"], Float[Array, "T-1 o"]]:
     """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations.
@@ -111,84 +110,60 @@ def run(
     return jax.lax.scan(row, (memory, first), rows)[1]
 
 
+@partial(jax.jit, static_argnames="augmented")
 def filtered(
     augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks
-) -> tuple[Float[np.ndarray, "C T-1 s"], Float[np.ndarray, "C T-1 o"]]:
+) -> tuple[Float[Array, "C T-1 s"], Float[Array, "C T-1 o"]]:
     """The estimates that the steps begin with, and the innovations of the observed outputs in their units.
 
     Of all rows, those that do not count as well.
     """
-    return in_batches(partial(_filtered, augmented, scales, v), chunks)
+    active = augmented.active(v.theta, *v.delta)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
-def _filtered(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> tuple[Array, Array]:
-    active = augmented.active(v.theta, *v.delta)
-    return jax.vmap(lambda chunk: run(augmented, scales, v, active, chunk))(chunks)
-
-
-def asked(
-    augmented: Augmented, v: Variables, chunks: Chunks
-) -> tuple[Float[np.ndarray, "C T-1 k"], Float[np.ndarray, "C T-1 parts u"]]:
-    """What every row asks of an engine: the values of its terms, and the commands that act in the row's parts."""
-    return in_batches(partial(_asked, augmented, v), chunks._replace(table=None))
-
-
-@partial(jax.jit, static_argnames="augmented")
-def _asked(augmented: Augmented, v: Variables, chunks: Chunks) -> tuple[Array, Array]:
+def sent_of(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 parts u"]:
+    """Of an engine's rows, the commands that act in their parts."""
     active = augmented.active(v.theta, *v.delta)
 
-    def one(chunk: Chunks) -> tuple[Float[Array, "T-1 k"], Float[Array, "T-1 parts u"]]:
+    def one(chunk: Chunks) -> Float[Array, "T-1 parts u"]:
         at_start = acting(v, v.theta, chunk.gate[:, 0])
         memory = remember(
             augmented, jnp.asarray(v.phi), at_start, chunk.state[0], chunk.past, chunk.time_s[0], chunk.turns, active
         )
 
-        def row(memory: Memory, now: tuple) -> tuple[Memory, tuple[Float[Array, " k"], Float[Array, "parts u"]]]:
+        def row(memory: Memory, now: tuple) -> tuple[Memory, Float[Array, "parts u"]]:
             u, time_s, interval, gate = now
-            theta = acting(v, v.theta, gate)
-            terms = terms_of(augmented, theta, active)
-            assert terms is not None  # an engine has them
-            memory, sent = follow(augmented, theta, memory, u, Row(time_s, interval), active)
-            return memory, (terms, sent)
+            return follow(augmented, acting(v, v.theta, gate), memory, u, Row(time_s, interval), active)
 
         rows = (chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:, :-1].T)
         return jax.lax.scan(row, memory, rows)[1]
 
-    return jax.vmap(one)(chunks)
+    return jax.vmap(one)(bare(chunks)._replace(table=None))
 
 
-def alone(
-    augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks
-) -> Float[np.ndarray, "C T-1 o"]:
+@partial(jax.jit, static_argnames="augmented")
+def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 o"]:
     """What each innovation would be, had its step alone been taken with other constants than those before it."""
-    return in_batches(partial(_alone, augmented, scales, v, theta), chunks)
-
-
-@partial(jax.jit, static_argnames="augmented")
-def _alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Array:
     active = augmented.active(v.theta, *v.delta, theta)
-    return jax.vmap(lambda chunk: run(augmented, scales, v, active, chunk, theta)[1])(chunks)
-
-
-Directions = tuple[Float[np.ndarray, "M p"], Float[np.ndarray, "M s"], Float[np.ndarray, "M c"]]
-"""In phi and in K (its diagonal, its other entries)."""
-
-
-def tangents(
-    augmented: Augmented, scales: Scales, v: Variables, directions: Directions, chunks: Chunks
-) -> Float[np.ndarray, "M C T-1 o"]:
-    """Derivatives of the innovations along M directions."""
-    return in_batches(partial(_tangents, augmented, scales, v, directions), chunks, axis=1)
+    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
-def _tangents(augmented: Augmented, scales: Scales, v: Variables, directions: Directions, chunks: Chunks) -> Array:
+def tangents(
+    augmented: Augmented,
+    scales: Scales,
+    v: Variables,
+    directions: tuple[Float[Array, "M p"], Float[Array, "M s"], Float[Array, "M c"]],
+    chunks: Chunks,
+) -> Float[Array, "M C T-1 o"]:
+    """Derivatives of the innovations along M directions in phi and K (its diagonal, its other entries)."""
     active, counts = augmented.active(v.theta, *v.delta), chunks.counts[..., None]
 
     def at(phi: Float[Array, " p"], gain: Float[Array, " s"], cross: Float[Array, " c"]) -> Float[Array, "C T-1 o"]:
         moved = v._replace(phi=phi, gain=gain, cross=cross)
-        _, e = jax.vmap(lambda chunk: run(augmented, scales, moved, active, chunk))(chunks)
+        _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, moved, active, chunk))(bare(chunks))
         return jnp.where(counts, e, 0.0)
 
     return jax.vmap(lambda *along: jax.jvp(at, (v.phi, v.gain, v.cross), along)[1])(*directions)

@@ -1,11 +1,13 @@
 """Segments with tables of an engine, made where a filter with some variables comes along."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from simgap.diagnosis.likelihood.filter import Variables, asked, filtered
+from simgap.diagnosis.likelihood.filter import Variables, acting, filtered, sent_of
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.effects.stepping import terms_of
 from simgap.engines import is_engine
 from simgap.simulators.tables import Points, tabulate
 
@@ -16,9 +18,16 @@ def tabulated(problem: Problem, v: Variables, chunks: Chunks) -> Chunks:
     if not is_engine(augmented.simulator):
         return chunks
     chunks = chunks._replace(table=None)
-    (state, _), (terms, command) = filtered(augmented, problem.scales, v, chunks), asked(augmented, v, chunks)
+    (state, _), command = filtered(augmented, problem.scales, v, chunks), sent_of(augmented, v, chunks)
+    gates = jnp.swapaxes(chunks.gate[..., :-1], 1, 2)
+    terms = jax.vmap(jax.vmap(lambda gate: terms_of(augmented, acting(v, v.theta, gate))))(gates)
+    assert terms is not None  # an engine has them
     # Where the filter left the finite numbers, what was measured is the best there is.
-    x = np.where(np.isfinite(state), state, chunks.state[:, :-1])
-    at = (a.reshape(-1, *a.shape[2:]) for a in (terms, x, command))
-    table = tabulate(augmented.simulator, Points(np.asarray(v.phi), *at))
-    return chunks._replace(table=jax.tree.map(lambda a: np.asarray(a).reshape(*x.shape[:2], *a.shape[1:]), table))
+    x = np.where(np.isfinite(state), np.asarray(state), np.asarray(chunks.state)[:, :-1])
+    scored = np.asarray(chunks.counts).any(1)  # the others fill the number of segments up
+    at = [np.asarray(a)[scored] for a in (terms, x, command)]
+    table = tabulate(augmented.simulator, Points(np.asarray(v.phi), *(a.reshape(-1, *a.shape[2:]) for a in at)))
+    which = np.where(scored, np.cumsum(scored) - 1, 0)
+    return chunks._replace(
+        table=jax.tree.map(lambda a: jnp.asarray(a.reshape(*at[0].shape[:2], *a.shape[1:])[which]), table)
+    )

@@ -128,12 +128,12 @@ def with_value(v: Variables, group: Group, value: float) -> Variables:
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
     """Innovations in the observed outputs' own units, zero in rows that do not count."""
     _, e = filtered(problem.augmented, problem.scales, v, problem.chunks)
-    return np.where(problem.chunks.counts[..., None], e, np.float32(0))
+    return np.where(np.asarray(problem.chunks.counts)[..., None], e, np.float32(0))
 
 
 def estimates(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
     """Estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
-    return filtered(problem.augmented, problem.scales, v, problem.chunks)[0]
+    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks)[0])
 
 
 def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:

@@ -1,14 +1,14 @@
-"""Sessions cut into segments, computed a few at a time, and which of their rows count.
+"""Sessions cut into segments that run side by side, and which of their rows count.
 
 Each segment begins with a few rows of run-in, in which the estimate forgets its start and which do not count.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from simgap.effects.effect import HISTORY_ROWS
 from simgap.engines import Table
@@ -22,9 +22,9 @@ WARM = 30
 """Rows of past commands that run through the command path before a chunk, so that lags are where they were."""
 TURNS = 12
 """Turning points of each command before those rows, so that play is where it was; a real Spot has no more."""
-CHUNKS = 32
-"""Chunks that are computed side by side: one number, so that recordings of all sizes share what is compiled. Of 16 each
-takes twice as long, of 256 half as long (Spot, all laws, one core)."""
+FEWEST, SIZES = 32, 4
+"""Least number of chunks, and how many numbers there are between one power of two and the next. They are filled up to
+these, so that recording sets of like size share what is compiled. Fewer than 32 chunks hardly take less time."""
 
 
 class Chunks(NamedTuple):
@@ -32,20 +32,19 @@ class Chunks(NamedTuple):
 
     past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: 1 where support s
     is open, else 0. session: index into the recordings; row: of the chunk's first row in its session. table: what an
-    engine does near an estimate of every row but the last; without it, the simulator itself is run. Arrays are NumPy's,
-    and JAX's inside of what `in_batches` computes.
+    engine does near an estimate of every row but the last; without it, the simulator itself is run.
     """
 
-    state: Float[Any, "C T s"]
-    command: Float[Any, "C T u"]
-    past: Float[Any, "C h u"]
-    turns: Float[Any, "C m u"]
-    time_s: Float[Any, "C T"]
-    interval: Float[Any, "C T"]
-    counts: Bool[Any, "C T-1"]
-    gate: Float[Any, "C S T"]
-    session: Int[Any, " C"]
-    row: Int[Any, " C"]
+    state: Float[Array, "C T s"]
+    command: Float[Array, "C T u"]
+    past: Float[Array, "C h u"]
+    turns: Float[Array, "C m u"]
+    time_s: Float[Array, "C T"]
+    interval: Float[Array, "C T"]
+    counts: Bool[Array, "C T-1"]
+    gate: Float[Array, "C S T"]
+    session: Int[np.ndarray, " C"]
+    row: Int[np.ndarray, " C"]
     table: Table | None = None
 
 
@@ -73,8 +72,11 @@ def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
     return np.concatenate([found, np.zeros(TURNS - len(found))])
 
 
-def cut(recordings: Sequence[Recording], time_step: float) -> Chunks:
-    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count."""
+def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
+    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count.
+
+    Others that do not count fill their number up, to at least `least`: sets of the same number share what is compiled.
+    """
     rows = RUN_IN + LENGTH + 1
     parts: list[tuple] = []
     for s, r in enumerate(recordings):
@@ -89,30 +91,33 @@ def cut(recordings: Sequence[Recording], time_step: float) -> Chunks:
             parts.append((r.state[index], r.command[index], *sent_before(r.command, start),
                           r.time_s[index] - r.time_s[0], interval[index], counted, np.ones((1, rows)), s,
                           start))  # fmt: skip
-    return as_chunks(parts)
+    *arrays, counted, gate, s, start = parts[0]
+    nothing = (*arrays, np.zeros_like(counted), gate, s, start)
+    return as_chunks([*parts, *[nothing] * (max(filled(len(parts)), least) - len(parts))])
+
+
+def filled(count: int) -> int:
+    """The number that so many chunks are filled up to."""
+    step = max(FEWEST, 2 ** (count.bit_length() - 1) // SIZES)
+    return -(-count // step) * step
 
 
 def as_chunks(parts: Sequence[tuple]) -> Chunks:
     """Chunks from their fields, one tuple a chunk."""
     *arrays, session, row = (np.stack(a) for a in zip(*parts, strict=True))
-    in_32_bits = [a if a.dtype == bool else np.asarray(a, np.float32) for a in arrays]
-    return Chunks(*in_32_bits, session=session, row=row)
+    as_float = [jnp.asarray(a if a.dtype == bool else np.asarray(a, np.float32)) for a in arrays]
+    return Chunks(*as_float, session=session, row=row)
 
 
-def in_batches(function: Callable[[Chunks], Any], chunks: Chunks, axis: int = 0) -> Any:
-    """`function` of `CHUNKS` chunks at a time; its results, whose axis `axis` is the chunks', in one as NumPy's."""
-    count, parts = len(chunks.row), []
-    for first in range(0, count, CHUNKS):
-        # The last batch is filled up by repetition.
-        index = np.minimum(np.arange(first, first + CHUNKS), count - 1)
-        parts.append(jax.tree.map(np.asarray, function(jax.tree.map(lambda a, index=index: a[index], chunks))))
-    along = (slice(None),) * axis + (slice(count),)
-    return jax.tree.map(lambda *some: np.concatenate(some, axis)[along], *parts)
+def bare(chunks: Chunks) -> Chunks:
+    """Chunks without where they come from, which is no array of JAX's, for `vmap` over chunks."""
+    nothing = jnp.zeros(len(chunks.state))
+    return chunks._replace(session=nothing, row=nothing)
 
 
 def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
     """The rows that count, in order: [..., n, s]."""
-    return np.asarray(e)[..., chunks.counts, :]
+    return np.asarray(e)[..., np.asarray(chunks.counts), :]
 
 
 class Rows(NamedTuple):
@@ -124,6 +129,6 @@ class Rows(NamedTuple):
 
 def rows_of(chunks: Chunks) -> Rows:
     """Session and time of the rows that count."""
-    counts = chunks.counts
-    session = np.broadcast_to(chunks.session[:, None], counts.shape)[counts]
-    return Rows(session, chunks.time_s[:, :-1][counts])
+    counts = np.asarray(chunks.counts)
+    session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
+    return Rows(session, np.asarray(chunks.time_s)[:, :-1][counts])

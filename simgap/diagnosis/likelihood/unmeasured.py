@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, filtered, run
+from simgap.diagnosis.likelihood.filter import Variables, filtered
 from simgap.diagnosis.likelihood.problem import Problem, estimates
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, in_batches
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.layout import Layout
@@ -54,7 +54,7 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
     hidden = ~problem.augmented.layout.observed
     chunks = chunks._replace(state=fitted_starts(problem, v, chunks))
     x = estimates(problem._replace(chunks=chunks), v)
-    x = np.where(np.isfinite(x), x, chunks.state[:, :-1])
+    x = np.where(np.isfinite(x), x, np.asarray(chunks.state)[:, :-1])
     states = [np.array(r.state) for r in recordings]
     for chunk, (session, first) in enumerate(zip(chunks.session, chunks.row, strict=True)):
         state = states[session]
@@ -68,8 +68,8 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
 def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T s"]:
     """States of the segments, the first row's unmeasured ones by one step of weighted least squares."""
     _, raw = filtered(problem.augmented, problem.scales, v, chunks)
-    weight = 1 / np.maximum(1.4826 * np.median(np.abs(raw), axis=(0, 1)), 1e-12)
-    moved = in_batches(partial(_steps, problem.augmented, problem.scales, v, weight), chunks)
+    size = 1.4826 * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
+    moved = _steps(problem.augmented, problem.scales, v, chunks, jnp.asarray(1 / np.maximum(size, 1e-12)))
     state = np.array(chunks.state)
     state[:, 0, ~problem.augmented.layout.observed] += np.where(np.isfinite(moved), moved, 0.0)
     return state
@@ -77,18 +77,19 @@ def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.nd
 
 @partial(jax.jit, static_argnames="augmented")
 def _steps(
-    augmented: Augmented, scales: Scales, v: Variables, weight: Float[Array, " o"], chunks: Chunks
+    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks, weight: Float[Array, " o"]
 ) -> Float[Array, "C k"]:
     """To where the innovations of each segment are least, along the unmeasured states of its first row."""
-    hidden, active = np.flatnonzero(~augmented.layout.observed), augmented.active(v.theta, *v.delta)
+    hidden = np.flatnonzero(~augmented.layout.observed)
 
     def one(chunk: Chunks) -> Float[Array, " k"]:
         def e(start: Float[Array, " k"]) -> Float[Array, " n"]:
-            state = jnp.asarray(chunk.state).at[0, hidden].set(start)
-            return (run(augmented, scales, v, active, chunk._replace(state=state))[1] * weight).ravel()
+            state = chunk.state.at[0, hidden].set(start)
+            nested = jax.tree.map(lambda a: a[None], chunk._replace(state=state))
+            return (filtered(augmented, scales, v, nested)[1][0] * weight).ravel()
 
         start = chunk.state[0, hidden]
         J, missed = jax.jacfwd(e)(start), e(start)
         return -jnp.linalg.lstsq(J, missed, rcond=1e-4)[0]
 
-    return jax.vmap(one)(chunks)
+    return jax.vmap(one)(bare(chunks))

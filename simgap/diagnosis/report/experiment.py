@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from simgap.diagnosis.hypotheses.features import inside
 from simgap.diagnosis.hypotheses.space import Candidate
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
-from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut, rows_of, sent_before
+from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut, sent_before
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.validation.forecast import Contestant, Regimes, forecast
 from simgap.kinematics import motion
@@ -106,20 +106,26 @@ def _apart(
     Row by row, as recordings are judged: errors that only add up over seconds are no evidence. -inf where b leaves the
     finite numbers.
     """
-    dt = problem.scales.time_step
+    dt, least = problem.scales.time_step, len(problem.chunks.row)
     # What a measures after a row's command comes with the next one.
     sessions = [
         Recording(str(i), np.arange(len(u)) * dt, y, np.concatenate([u[1:], u[-1:]]))
         for i, (y, u) in enumerate(simulated)
     ]
-    chunks = cut(sessions, dt)
-    gate = np.stack([inside(problem.augmented.layout, r, chunks) for r in regimes], axis=1).astype(np.float32)
-    there = problem._replace(chunks=chunks._replace(gate=gate))
-    ours, theirs = (evaluate(there, f.v, (), a.noise) for f in (a, b))
-    with np.errstate(invalid="ignore", over="ignore"):
-        nats = (log_density(ours.e, a.noise) - log_density(theirs.e, a.noise)).sum(1)
-    total = np.bincount(rows_of(chunks).session, nats, len(sessions))
-    return np.where(np.isfinite(total), total, -np.inf)
+    at_once = max(least // -(-len(sessions[0].time_s) // LENGTH), 1)
+    found = []
+    for first in range(0, len(sessions), at_once):
+        chunks = cut(sessions[first : first + at_once], dt, least)
+        gate = np.stack([inside(problem.augmented.layout, r, chunks) for r in regimes], axis=1).astype(np.float32)
+        there = problem._replace(chunks=chunks._replace(gate=gate))
+        ends = np.cumsum(np.asarray(chunks.counts).sum(1))
+        of = np.repeat(chunks.session, np.diff(ends, prepend=0))
+        ours, theirs = (evaluate(there, f.v, (), a.noise) for f in (a, b))
+        with np.errstate(invalid="ignore", over="ignore"):
+            nats = (log_density(ours.e, a.noise) - log_density(theirs.e, a.noise)).sum(1)
+        total = np.bincount(of, nats, len(sessions[first : first + at_once]))
+        found.append(np.where(np.isfinite(total), total, -np.inf))
+    return np.concatenate(found)
 
 
 def _library(problem: Problem, rows: int, limits: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

@@ -33,7 +33,7 @@ def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> lis
 def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
     """Change of the output most concerned that the effect brings (line), and with what is left over of it (dots)."""
     without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
-    layout, state = problem.augmented.layout, counted(problem.chunks, problem.chunks.state[:, :-1])
+    layout, state = problem.augmented.layout, counted(problem.chunks, np.asarray(problem.chunks.state)[:, :-1])
     # In the bodies' own frames, as commands are: in the world's what they do depends on where the robot looks.
     seen = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
     raw = [by_row(to_own_frame, layout, e, state) for e in seen]
@@ -63,7 +63,7 @@ def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) 
 
 def _features(problem: Problem, found: Excess) -> tuple[np.ndarray, list[str], list[str]]:
     """What regimes are described by, and how much each command has changed: late and slow ones show in that."""
-    fields, sent = problem.augmented.simulator.schema.command, problem.chunks.command
+    fields, sent = problem.augmented.simulator.schema.command, np.asarray(problem.chunks.command)
     columns, names, units = [found.features], list(found.names), list(found.units)
     for rows, said in ((1, "a row"), (2, "two rows")):
         change = sent - np.concatenate([np.repeat(sent[:, :1], rows, axis=1), sent[:, :-rows]], axis=1)
@@ -124,7 +124,7 @@ def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Cont
     if pieces is None:
         return []
     busiest = int(np.argmax(_activity(recording, pieces, steps)))
-    one = jax.tree.map(lambda a: a[busiest : busiest + 1], pieces)
+    one = jax.tree.map(lambda a: np.asarray(a)[busiest : busiest + 1], pieces)
     predicted = {name: forecast(problem, c, one)[0] for name, c in contestants.items()}
     time = np.asarray(one.time_s)[0, RUN_IN + 1 :]
     measured = np.asarray(one.state)[0, RUN_IN + 1 :]

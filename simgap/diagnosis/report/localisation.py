@@ -40,14 +40,14 @@ class Excess(NamedTuple):
 
 def excess(augmented: Augmented, chunks: Chunks, base: Float[np.ndarray, "C t s"], better: np.ndarray) -> Excess:
     """Compare two sets of innovations [C, t, s], in the outputs' own units."""
-    counts = chunks.counts
+    counts = np.asarray(chunks.counts)
     a, b = np.asarray(base)[counts], np.asarray(better)[counts]
     nats = log_density(b, fit_noise(b)) - log_density(a, fit_noise(a))
     clipped = [np.clip(e, *(np.quantile(a, q, axis=0) for q in (0.005, 0.995))) for e in (a, b)]
     power = [(e**2).mean(0) for e in clipped]
     t = np.broadcast_to(np.arange(counts.shape[1]), counts.shape)
-    row = (chunks.row[:, None] + t)[counts]
-    session = np.broadcast_to(chunks.session[:, None], counts.shape)[counts]
+    row = (np.asarray(chunks.row)[:, None] + t)[counts]
+    session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
     names, units = map(list, zip(*((f.name, f.unit) for f in features(augmented.layout)), strict=True))
     values = of_rows(augmented.layout, chunks)
     return Excess(nats, np.clip(1 - power[1] / np.maximum(power[0], 1e-18), 0, 1), session, row, values, names, units)

@@ -79,7 +79,7 @@ def statement(
             "training_sessions": [r.name for r in sessions.training],
             "heldout_sessions": [r.name for r in sessions.heldout],
             "baseline": [r.name for r in sessions.baseline] or None,
-            "transitions": int(problem.chunks.counts.sum()),
+            "transitions": int(np.asarray(problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
         "located": _located(found, sessions, outcome, left),
@@ -160,7 +160,7 @@ def _excess(found: Explanation, outcome: Outcome, chunks: Chunks) -> localisatio
     def less(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "C t s"]:
         """The effects' innovations less decorrelated ones of the rows that count."""
         part = np.zeros_like(fitted)
-        part[chunks.counts] = e @ np.linalg.inv(problem.whiten).T
+        part[np.asarray(chunks.counts)] = e @ np.linalg.inv(problem.whiten).T
         return fitted - part
 
     nameless = (

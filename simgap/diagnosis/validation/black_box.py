@@ -82,9 +82,9 @@ def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Flo
     The state is the filter's estimate, as in forecasts: what is measured holds noise, which foretells the next
     innovation as well, and none after it.
     """
-    chunks, counts = problem.chunks, problem.chunks.counts
+    chunks, counts = problem.chunks, np.asarray(problem.chunks.counts)
     x = estimates(problem, v)
-    sent = np.concatenate([chunks.past[:, ::-1][:, -COMMANDS:], chunks.command[:, :-1]], axis=1)
+    sent = np.concatenate([np.asarray(chunks.past)[:, ::-1][:, -COMMANDS:], np.asarray(chunks.command)[:, :-1]], axis=1)
     last = np.stack([sent[:, COMMANDS - k : sent.shape[1] - k] for k in range(COMMANDS)], axis=2)
     return x[counts], last[counts]
 
@@ -102,7 +102,7 @@ def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
     z, target = _design(problem, v)
     scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
     target = np.clip(target / scale, -4, 4)
-    counts = problem.chunks.counts
+    counts = np.asarray(problem.chunks.counts)
     fold = np.repeat(np.arange(len(counts)) * FOLDS // len(counts), counts.sum(1))
     std = z.std(0)
     best: tuple[float, BlackBox | None, float] = (np.inf, None, RIDGES[-1])
@@ -142,7 +142,7 @@ def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndar
 
 def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray, "C t s"]:
     """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
-    counts, layout = problem.chunks.counts, problem.augmented.layout
+    counts, layout = np.asarray(problem.chunks.counts), problem.augmented.layout
     said = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
     x, sent = _seen(problem, v)
     added = np.asarray(_every_row(box, by_row(inputs, layout, x, sent)) @ box.weights)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, innovation
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, in_batches, sent_before
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
 from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
@@ -20,8 +20,8 @@ from simgap.effects.regime import EVERYWHERE, Regime, holds
 from simgap.effects.step import unsense
 from simgap.types import Recording
 
-SEGMENT = 10
-"""Rows of the pieces that are computed at once: one number whatever the horizon, for each is compiled anew."""
+PIECES, SEGMENT = 64, 10
+"""Pieces, and rows of them, that are computed at once: one size whatever the horizon, for each is compiled anew."""
 
 FEW = 1
 """Effects at most for which the program of forecasts leaves out the others: it has no more than was found."""
@@ -60,12 +60,19 @@ def forecast(problem: Problem, model: Contestant, pieces: Chunks) -> Float[np.nd
     """
     augmented, scales = problem.augmented.lean(FEW, model.v.theta, model.v.delta), problem.scales
     model = model if model.box is not None else model._replace(box=silent(augmented.layout))
-    return in_batches(partial(_forecast, augmented, scales, model), pieces)
+    count = len(pieces.row)
+    parts = []
+    for first in range(0, count, PIECES):
+        # The last batch is filled up by repetition.
+        index = np.minimum(np.arange(first, first + PIECES), count - 1)
+        some = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
+        parts.append(_forecast(augmented, scales, model, some)[: count - first])
+    return np.concatenate(parts)
 
 
 def _forecast(augmented: Augmented, scales: Scales, model: Contestant, pieces: Chunks) -> Float[np.ndarray, "W h s"]:
-    count, steps = len(pieces.row), pieces.state.shape[1] - 1
-    trust = np.broadcast_to(np.arange(steps) < RUN_IN, (count, steps)).astype(np.float32)
+    steps = pieces.state.shape[1] - 1
+    trust = np.broadcast_to(np.arange(steps) < RUN_IN, (PIECES, steps)).astype(np.float32)
     times = (pieces.time_s[:, :-1], pieces.time_s[:, 1:])
     rows = (
         pieces.state[:, 1:],

@@ -82,7 +82,7 @@ def sensitivity(problem: Problem, screening: Screening, candidates: Sequence[Can
         tested.setdefault(s.candidate.name, []).append(s)
     single = [c for c in candidates if len(c.sites) == 1]
     visible = tuple(_visible(problem, c, tested.get(c.name, ()), needed) for c in single)
-    return Sensitivity(visible, needed, len(blocks(problem.chunks.counts)), FEW, FEW * BLOCK)
+    return Sensitivity(visible, needed, len(blocks(np.asarray(problem.chunks.counts))), FEW, FEW * BLOCK)
 
 
 def _visible(problem: Problem, candidate: Candidate, tested: Sequence[Screened], needed: float) -> Visible:

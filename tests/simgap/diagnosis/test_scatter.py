@@ -34,7 +34,7 @@ def told(training: list[Recording], heldout: list[Recording], before: list[Recor
     bare = problem(training)
     v = start(bare)._replace(phi=jnp.asarray(PHI))
     of = bare._replace(whiten=whitening(evaluate(bare, v, ()).e))
-    rows = lambda sessions: cut(sessions, 1 / RATE)  # noqa: E731
+    rows = lambda sessions: cut(sessions, 1 / RATE, least=len(of.chunks.row))  # noqa: E731
     return scatter(of, evaluate(of, v, ()), rows(heldout), rows(before) if before else None)
 
 

@@ -33,7 +33,7 @@ def fitted(training: list[Recording]) -> Model:
 def law_in(recorded: list[Recording], seed: int = 0) -> Law:
     training, heldout = recorded[:-1], recorded[-1:]
     model = fitted(training)
-    return unnamed(model, cut(heldout, 1 / 15), np.random.default_rng(seed), print)
+    return unnamed(model, cut(heldout, 1 / 15, least=len(model.problem.chunks.row)), np.random.default_rng(seed), print)
 
 
 def drifting(of: Problem, v: Variables, where: str, size: float) -> Variables:
@@ -122,7 +122,9 @@ def test_a_simulator_needs_no_ground_and_no_body(bodies: bool) -> None:
     augmented = Augmented(replace(DRIVE, schema=schema))
     of = Problem(augmented, measure(augmented, recorded), cut(recorded[:3], 0.02), np.eye(2))
     model = Model(of, *optimise(of, evaluate(of, start(of), ())))
-    assert unnamed(model, cut(recorded[3:], 0.02), np.random.default_rng(0), print).terms == ()
+    assert (
+        unnamed(model, cut(recorded[3:], 0.02, least=len(of.chunks.row)), np.random.default_rng(0), print).terms == ()
+    )
 
 
 def drive(seed: int) -> Recording:
