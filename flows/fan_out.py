@@ -34,7 +34,7 @@ def fan_out(
 ) -> dict[Place, str]:
     """Call `work(workspace, cell, job, clock, ...)` for every cell, `workers` threads at a time, or on the cluster.
 
-    Returns what went wrong, by cell. When this process is to end, work under way ends at its next report; what is
+    Returns what went wrong, by cell. When this process is asked to end, work under way ends at its next report; what is
     finished is kept.
     """
     failed: dict[Place, str] = {}

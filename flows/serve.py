@@ -28,7 +28,7 @@ _ASK_S = 3.0
 
 
 def main() -> None:
-    """Serve until the process is to end."""
+    """Serve until the process is asked to end."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--runs", type=int, default=2, help="runs at a time; others wait")
     given = parser.parse_args()

@@ -96,8 +96,8 @@ def effects_found(rows: Sequence[Row]) -> list[str]:
         for (size, seed), effects in sorted(found.items()):
             if size == n:
                 seeds.setdefault(effects, []).append(str(seed))
-        counts = "; ".join(f"{effects} (seed {', '.join(which)})" for effects, which in seeds.items())
-        lines.append(f"N = {n}: {counts}")
+        by_seed = "; ".join(f"{effects} (seed {', '.join(which)})" for effects, which in seeds.items())
+        lines.append(f"N = {n}: {by_seed}")
     return lines
 
 

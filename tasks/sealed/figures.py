@@ -42,7 +42,7 @@ def power(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
 
 
 def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: int) -> None:
-    """True effects against the first name, single effects of at least so many nats."""
+    """Confusion matrix of single effects of at least `least` nats: the true one, and the first that is named."""
     rows = [r for r in rows if r["kind"] in ONE and r["strength"] >= least]
     named = [r["told"].split("+")[0] or f"({r['verdict'].replace('_', ' ')})" for r in rows]
     truths = sorted({r["truth"] for r in rows})

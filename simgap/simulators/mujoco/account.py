@@ -50,15 +50,9 @@ def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str,
     if not start:
         return dict(statement)
     # What needs no more than the new stiffness is still a model whose parameters were off.
-    statement = {
-        **statement,
-        "verdict": "parameters_only" if statement["verdict"] == "nothing" else statement["verdict"],
-    }
-    return {
-        **statement,
-        "warnings": [start, *statement["warnings"]],
-        "statement": f"{start} {wording.statement(statement)}",
-    }
+    verdict = "parameters_only" if statement["verdict"] == "nothing" else statement["verdict"]
+    statement = {**statement, "verdict": verdict, "warnings": [start, *statement["warnings"]]}
+    return {**statement, "statement": f"{start} {wording.statement(statement)}"}
 
 
 def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], folder: Path) -> Patched:
