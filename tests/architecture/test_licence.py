@@ -44,7 +44,12 @@ def test_the_notice_names_the_source_and_what_is_computed_from_it() -> None:
     notice = (ROOT / "NOTICE").read_text()
     assert OWNER in notice
     assert "github.com/benjirer/simulation_transfer, under the MIT licence" in notice
-    for folder in ("reports/spot", "reports/sealed/real"):
+    for source in ("SO-ARM100, Apache-2.0", "Rhoban/bam, Apache-2.0", "discovery-of-physics-from-data, MIT"):
+        assert source in notice
+    simulated = {"reports/ground", "reports/sealed", "reports/virtual"}
+    listed = {"reports/external", "reports/spot"}
+    assert {str(p.relative_to(ROOT)) for p in (ROOT / "reports").iterdir() if p.is_dir()} <= listed | simulated
+    for folder in (*listed, "reports/sealed/real"):
         assert folder in notice
         assert (ROOT / folder).is_dir()
 
