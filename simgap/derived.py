@@ -4,14 +4,14 @@ Such a column adds no information, its noise is that of the position once more, 
 model that takes it for a measurement repairs the differentiator instead of the physics.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from simgap.layout import Layout
-from simgap.survey import leading
+from simgap.layout import Layout, X, Y
+from simgap.survey import GAP, leading
 from simgap.types import Recording, Schema
 
 UNEXPLAINED = 0.25
@@ -34,7 +34,8 @@ the position gives -3/4, an acceleration that is new in every row -1/3 to -1/2, 
 
 
 class Derived(NamedTuple):
-    """A velocity that is a difference of its position; `kind`: forward, backward, central, or filtered."""
+    """A velocity that is a difference of its position, of "x and y" along a body's own axis; `kind`: forward, backward,
+    central, or filtered."""
 
     velocity: str
     position: str
@@ -45,19 +46,42 @@ def derived(schema: Schema, recordings: Sequence[Recording]) -> list[Derived]:
     """The velocities that are differences of the positions that they change, over the sessions together.
 
     Differences are forward (p[t+1] - p[t]) / h, backward (p[t] - p[t-1]) / h and central (p[t+1] - p[t-1]) / 2h, by the
-    rows' own time stamps or by their median interval; angles are differenced the short way round. A filtered
-    difference is looked for where the position is noisy: without noise, a measured velocity is a linear function of
-    neighbouring positions too.
+    rows' own time stamps or by their median interval; angles are differenced the short way round. Of a velocity along a
+    body's own axis, differences of the world's x and y are turned by the heading of its row. A filtered difference is
+    looked for where the position is noisy: without noise, a measured velocity is a linear function of neighbouring
+    positions too.
     """
-    found = []
-    for p, v in enumerate(Layout(schema).integrates):
-        if v < 0:
-            continue
-        angle = schema.state[p].kind == "angle"
-        kind = _kind([_Pair.of(r, p, int(v), angle) for r in leading(recordings, MOST_ROWS)])
+    found, layout = [], Layout(schema)
+    pieces = [piece for r in leading(recordings, MOST_ROWS) for piece in _pieces(r)]
+    for v, positions, heading, ahead in _motions(layout):
+        kind = _kind([_Pair.of(piece, layout, v, positions, heading, ahead) for piece in pieces])
         if kind:
-            found.append(Derived(schema.state[int(v)].name, schema.state[p].name, kind))
+            name = " and ".join(schema.state[p].name for p in positions)
+            found.append(Derived(schema.state[v].name, name, kind))
     return found
+
+
+def _motions(layout: Layout) -> Iterator[tuple[int, list[int], int | None, bool]]:
+    """Velocities, the positions whose change each is, and of one along a body's own axis the heading and whether that
+    axis is the one ahead."""
+    for p, v in enumerate(layout.integrates):
+        if v >= 0:
+            yield int(v), [p], None, False
+    for b, heading in enumerate(layout.heading):
+        x_and_y = [int(p) for p in layout.position[b, [X, Y]]]
+        if heading is None or min(x_and_y) < 0 or not layout.in_world("position", b) or layout.in_world("velocity", b):
+            continue
+        for axis in (X, Y):
+            if layout.velocity[b, axis] >= 0:
+                yield int(layout.velocity[b, axis]), x_and_y, heading, axis == X
+
+
+def _pieces(recording: Recording) -> list[Recording]:
+    """A session cut where it pauses: over a gap, every difference is about the same."""
+    interval = np.diff(recording.time_s)
+    cuts = np.flatnonzero(interval > GAP * np.median(interval)) + 1 if len(interval) else []
+    parts = (np.split(a, cuts) for a in (recording.time_s, recording.state, recording.command))
+    return [Recording(recording.name, *part) for part in zip(*parts, strict=True)]
 
 
 LATE: Mapping[str, str] = {"backward": "half a row late", "forward": "half a row early",
@@ -76,18 +100,33 @@ def sentence(found: Derived) -> str:
 
 
 class _Pair(NamedTuple):
-    """A session's velocity v, changes of position, and the time of each change [s]."""
+    """A velocity of a session's rows, changes of its k positions, the time of each change [s], and the direction in
+    which each row's velocity is measured."""
 
     velocity: Float[np.ndarray, " T"]
-    change: Float[np.ndarray, " T-1"]
+    change: Float[np.ndarray, "T-1 k"]
     interval: Float[np.ndarray, " T-1"]
+    toward: Float[np.ndarray, "T k"]
 
     @classmethod
-    def of(cls, recording: Recording, position: int, velocity: int, angle: bool) -> "_Pair":
-        change = np.diff(recording.state[:, position])
-        if angle:
-            change = (change + np.pi) % (2 * np.pi) - np.pi
-        return cls(recording.state[:, velocity], change, np.diff(recording.time_s))
+    def of(
+        cls, piece: Recording, layout: Layout, velocity: int, positions: list[int], heading: int | None, ahead: bool
+    ) -> "_Pair":
+        change = np.diff(piece.state[:, positions], axis=0)
+        angle = layout.angles[positions]
+        change = np.where(angle, (change + np.pi) % (2 * np.pi) - np.pi, change)
+        toward = np.ones((len(piece.time_s), 1))
+        if heading is not None:
+            c, s = np.cos(piece.state[:, heading]), np.sin(piece.state[:, heading])
+            toward = np.column_stack([c, s] if ahead else [-s, c])
+        return cls(piece.state[:, velocity], change, np.diff(piece.time_s), toward)
+
+    def rate(self, by_stamps: bool) -> Float[np.ndarray, "T-1 k"]:
+        """Of change of the positions, by the rows' own time stamps or by their median interval."""
+        return (
+            self.change
+            / (self.interval if by_stamps else np.full_like(self.interval, np.median(self.interval)))[:, None]
+        )
 
 
 def _kind(pairs: Sequence[_Pair]) -> str:
@@ -113,25 +152,22 @@ def _roughness(pair: _Pair) -> Float[np.ndarray, " T-2"]:
 
 def _gaps(pair: _Pair) -> dict[str, Float[np.ndarray, " T-2"]]:
     """The velocity less each difference, for all rows but the first and the last."""
-    v, before, after = pair.velocity[1:-1], pair.interval[:-1], pair.interval[1:]
-    rate, nominal = _rate(pair, True), _rate(pair, False)
-    return {
-        "forward": v - rate[1:],
-        "forward nominal": v - nominal[1:],
-        "backward": v - rate[:-1],
-        "backward nominal": v - nominal[:-1],
-        "central": v - (pair.change[1:] + pair.change[:-1]) / (before + after),
-        "central nominal": v - (nominal[1:] + nominal[:-1]) / 2,
-        "central of second order": v - (before * rate[1:] + after * rate[:-1]) / (before + after),
+    before, after = pair.interval[:-1, None], pair.interval[1:, None]
+    rate, nominal = pair.rate(True), pair.rate(False)
+    differences = {
+        "forward": rate[1:],
+        "forward nominal": nominal[1:],
+        "backward": rate[:-1],
+        "backward nominal": nominal[:-1],
+        "central": (pair.change[1:] + pair.change[:-1]) / (before + after),
+        "central nominal": (nominal[1:] + nominal[:-1]) / 2,
+        "central of second order": (before * rate[1:] + after * rate[:-1]) / (before + after),
     }
-
-
-def _rate(pair: _Pair, by_stamps: bool) -> Float[np.ndarray, " T-1"]:
-    return pair.change / (pair.interval if by_stamps else np.median(pair.interval))
+    return {name: pair.velocity[1:-1] - (d * pair.toward[1:-1]).sum(1) for name, d in differences.items()}
 
 
 def _filtered(pairs: Sequence[_Pair], by_stamps: bool) -> bool:
-    rates = [_rate(p, by_stamps) for p in pairs]
+    rates = [(p.rate(by_stamps) * p.toward[1:]).sum(1) for p in pairs]
     bends = [np.diff(r, 2) for r in rates]
     power, successive = sum(float(b @ b) for b in bends), sum(float(b[1:] @ b[:-1]) for b in bends)
     if not power or successive > JAGGED * power:

@@ -13,8 +13,6 @@ from simgap.types import Recording, Schema
 
 NAMED = 3
 """Sessions that a finding names; of others it says how many there are."""
-GAP = 10.0
-"""Times the median interval, from which on the longest interval is a gap, and no stall."""
 TURNED, TURNED_BETTER = 0.8, 4.0
 """Agreement from which on velocities match in the other frame, and how many times less they must miss it by there."""
 FOLLOWS, UNUSUAL = 0.7, 5.0
@@ -89,13 +87,14 @@ def _of_rates(rates: Mapping[str, survey.Rate], time_step: float) -> Iterator[st
         yield (f"{_some(stalled)}: up to {r.stalls:.0%} of the rows last longer than {survey.STALL:g} medians, in "
                f"{worst} at most {r.longest_s:.3g} s (row {r.longest_row}). Look for a recorder that "
                "stalls.")  # fmt: skip
-    cut = [name for name, r in rates.items() if r.longest_s > GAP * max(r.median_s, r.second_s)]
+    cut = [name for name, r in rates.items() if r.gaps]
     if cut:
         worst = max(cut, key=lambda name: rates[name].longest_s / rates[name].median_s)
         r = rates[worst]
-        yield (f"{_some(cut)}: one gap dwarfs all other intervals, in {worst} {r.longest_s:.4g} s after row "
-               f"{r.longest_row}; the next longest is {r.second_s:.3g} s. Split the session there: a row is predicted "
-               "from the one before.")  # fmt: skip
+        gaps, where = ("one gap dwarfs", "there") if r.gaps == 1 else (f"{r.gaps} gaps dwarf", "at each")
+        yield (f"{_some(cut)}: {gaps} all other intervals, in {worst} {r.longest_s:.4g} s after row {r.longest_row}; "
+               f"the longest of the others is {r.others_s:.3g} s. Split the session {where}: a row is predicted from "
+               "the one before.")  # fmt: skip
 
 
 def _of_repeats(found: Sequence[Repeat]) -> Iterator[str]:

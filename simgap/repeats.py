@@ -9,9 +9,9 @@ from jaxtyping import Int, UInt64
 
 from simgap.types import Recording
 
-RUN = 10
+RUN, FEWEST = 10, 5
 """Rows in a row, all different from each other, by which two sessions are compared: sensors that flicker between a few
-values at rest do not repeat so many by chance."""
+values at rest do not repeat so many by chance. Sessions with fewer such rows are compared as a whole, down to so few."""
 LEAST_SHARE = 0.05
 """Share of the shorter session from which on rows in common are reported."""
 
@@ -43,12 +43,15 @@ def repeats(recordings: Sequence[Recording]) -> list[Repeat]:
 
 
 def _runs(recording: Recording) -> UInt64[np.ndarray, " n"]:
-    """A number for every `RUN` successive rows that differ from each other."""
+    """A number for every `RUN` successive rows that differ from each other. Rows that only repeat the one before them,
+    as of sensors slower than the recorder, are left out."""
     rows = _digest(np.hstack([recording.state, recording.command]))
-    if len(rows) < RUN:
+    rows = rows[np.append(True, rows[1:] != rows[:-1])]
+    run = min(RUN, len(rows))
+    if run < FEWEST:
         return np.zeros(0, np.uint64)
-    windows = np.lib.stride_tricks.sliding_window_view(rows, RUN)
-    earlier = np.lib.stride_tricks.sliding_window_view(_previous(rows), RUN).max(axis=1)
+    windows = np.lib.stride_tricks.sliding_window_view(rows, run)
+    earlier = np.lib.stride_tricks.sliding_window_view(_previous(rows), run).max(axis=1)
     return _mixed(windows)[earlier < np.arange(len(windows))]
 
 

@@ -10,6 +10,9 @@ from simgap.types import Field, Recording, Schema
 
 STALL = 1.5
 """Times the median interval from which on a row is a stall."""
+GAP, MOST_GAPS = 10.0, 5
+"""Times the median interval, and all that are shorter, from which on an interval is a gap; where there are more such
+intervals, they are stalls."""
 JUMP = 12.0
 """Times the largest usual change of a row (its 99 % quantile) from which on a change is a jump."""
 MOVED = 0.01
@@ -17,7 +20,10 @@ MOVED = 0.01
 
 
 class Rate(NamedTuple):
-    """Intervals between the rows of a session [s]; `second_s` is the longest but one."""
+    """Intervals between the rows of a session [s].
+
+    gaps: how many of the longest are by far longer than all others; `others_s`: the longest of these.
+    """
 
     median_s: float
     low_s: float
@@ -25,7 +31,8 @@ class Rate(NamedTuple):
     stalls: float
     longest_s: float
     longest_row: int
-    second_s: float
+    gaps: int
+    others_s: float
 
 
 class Column(NamedTuple):
@@ -67,8 +74,12 @@ def rate(recording: Recording) -> Rate:
     """Median and 5 % to 95 % of the intervals, share of stalls, the longest and the row before it."""
     dt = np.diff(recording.time_s)
     low, median, high = np.quantile(dt, [0.05, 0.5, 0.95])
-    second = float(np.partition(dt, -2)[-2])
-    return Rate(median, low, high, float(np.mean(dt > STALL * median)), float(dt.max()), int(dt.argmax()) + 1, second)
+    falling = np.sort(dt)[::-1]
+    others = np.maximum(np.append(falling[1:], 0.0), median)
+    apart = np.flatnonzero(falling[:MOST_GAPS] > GAP * others[:MOST_GAPS])
+    gaps = int(apart[-1]) + 1 if len(apart) else 0
+    return Rate(median, low, high, float(np.mean(dt > STALL * median)), float(falling[0]), int(dt.argmax()) + 1, gaps,
+                float(others[max(gaps - 1, 0)]))  # fmt: skip
 
 
 def leading(recordings: Sequence[Recording], rows: int) -> list[Recording]:

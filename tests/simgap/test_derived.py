@@ -163,6 +163,54 @@ def test_an_angle_is_differenced_the_short_way_round() -> None:
     assert found == Derived("turning", "yaw", "backward")
 
 
+CAR = Schema(
+    state=(
+        Field("x", "m", "position", "world", "car", "x"),
+        Field("y", "m", "position", "world", "car", "y"),
+        Field("yaw", "rad", "angle", "world", "car", "yaw"),
+        Field("ahead", "m/s", "velocity", "body", "car", "x"),
+        Field("aside", "m/s", "velocity", "body", "car", "y"),
+    ),
+    command=(),
+)
+
+
+def driven(speeds: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], noise: float) -> Recording:
+    """A car that turns and slips; `speeds` gives its velocities in the world of x, y and times."""
+    time = np.arange(ROWS) * 0.02
+    yaw = 0.8 * time + 0.5 * np.sin(1.3 * time)
+    x, y = np.sin(0.9 * time) + 0.3 * np.sin(4 * time), np.cos(0.7 * time) + 0.2 * np.sin(5 * time)
+    x, y = np.column_stack([x, y]).T + np.random.default_rng(0).normal(0, noise, (2, ROWS))
+    (vx, vy), c, s = speeds(x, y, time), np.cos(yaw), np.sin(yaw)
+    wrapped = (yaw + np.pi) % (2 * np.pi) - np.pi
+    state = np.column_stack([x, y, wrapped, c * vx + s * vy, c * vy - s * vx])
+    return Recording("drive", time, state, np.zeros((ROWS, 0)))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+@pytest.mark.parametrize("kind", DIFFERENCES)
+def test_a_difference_that_is_turned_into_the_bodys_frame_is_known(kind: str, noise: float) -> None:
+    difference = DIFFERENCES[kind]
+    found = derived(CAR, [driven(lambda x, y, t: np.array([difference(x, t), difference(y, t)]), noise)])
+    assert found == [Derived("ahead", "x and y", kind), Derived("aside", "x and y", kind)]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+def test_a_velocity_measured_in_the_bodys_frame_is_none(noise: float) -> None:
+    def exact(_x: np.ndarray, _y: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return np.array([0.9 * np.cos(0.9 * t) + 1.2 * np.cos(4 * t), -0.7 * np.sin(0.7 * t) + np.cos(5 * t)])
+
+    assert not derived(CAR, [driven(exact, noise)])
+
+
+def test_a_pause_does_not_make_a_measurement_a_difference() -> None:
+    time, place, speed = waves(0.02)
+    rng = np.random.default_rng(0)
+    place, speed = place + rng.normal(0, 1e-3, ROWS), speed + rng.normal(0, 0.02, ROWS)
+    assert not kinds(recording(time + 60.0 * (time > 5), place, speed))
+    assert kinds(recording(time + 60.0 * (time > 5), place, np.gradient(place, time))) == ["central"]
+
+
 def test_a_difference_by_the_nominal_rate_is_known() -> None:
     time, place, _ = waves(0.02, 0.3)
     assert kinds(recording(time, place, np.append(0.0, np.diff(place)) * 50)) != []

@@ -18,7 +18,7 @@ from test_importing import motion
 
 from examples.car import CAR
 from examples.record import record as record_example
-from simgap import survey
+from simgap import repeats, survey
 from simgap.cli.check import check_folder
 from simgap.derived import derived
 from simgap.formats.recordings import read_recordings, write_recording
@@ -76,6 +76,10 @@ def paused(session: pd.DataFrame) -> None:
     session["time_s"] += 60.0 * (session.index > 99)
 
 
+def paused_twice(session: pd.DataFrame) -> None:
+    session["time_s"] += 4.0 * (session.index > 99) + 4.0 * (session.index > 199)
+
+
 def driven(session: pd.DataFrame) -> None:
     """The base follows what it is commanded, half a second late, and turns as it likes."""
     stamps = session.time_s.to_numpy()
@@ -115,7 +119,8 @@ def test_good_recordings_have_no_findings_but_what_is_so(tmp_path: Path, capsys:
         (column("ee_z", lambda r: r.ee_z + (r.index == 77) * 9.0), r"ee_z jumps 2 times \(walk_0 row 78"),
         (column("ee_z", lambda r: r.ee_z.iloc[r.index // 4 * 4].to_numpy()), "ee_z repeats its last value in 75%"),
         (stuck, "ee_z never changes from 0.5"),
-        (paused, "one gap dwarfs all other intervals, in walk_0 60.07 s after row 100; the next longest is 0.0667 s"),
+        (paused, "one gap dwarfs .*, in walk_0 60.07 s after row 100; the longest of the others is 0.0667 s"),
+        (paused_twice, "2 gaps dwarf all other intervals, in walk_0 4.067 s after row .00"),
         (in_body_frame, r"base_vx, base_vy do not match the change of base_x, base_y \(agreement -?0...\); "
                         r"these match if rotated by base_yaw \(1.00\)"),
         (in_body_frame, "ee_vx, ee_vy do not match the change of ee_x, ee_y .* these match if rotated by base_yaw"),
@@ -172,6 +177,15 @@ def test_sessions_that_are_there_twice_or_overlap_are_found(tmp_path: Path) -> N
     assert line.startswith("Sessions that are there twice: walk_1 (as walk_0). Remove one")
     (line,) = found(tmp_path, whole.iloc[:200], whole.iloc[150:], other)
     assert line.startswith("Sessions overlap, they have rows in common: walk_0 and walk_1 (50 rows)")
+
+
+def test_sessions_are_known_again_where_they_are_short_or_sensors_are_slow(tmp_path: Path) -> None:
+    slow = rows()
+    slow[list(SCHEMA.columns[1:])] = slow[list(SCHEMA.columns[1:])].iloc[slow.index // 2 * 2].to_numpy()
+    short = rows(seconds=0.55, start=100)
+    assert len(short) < repeats.RUN
+    (line,) = [f for f in found(tmp_path, slow, slow, short, short, rows(start=200)) if "twice" in f]
+    assert line.startswith("Sessions that are there twice: walk_1 (as walk_0), walk_3 (as walk_2). Remove one")
 
 
 def test_sessions_that_repeat_at_rest_are_others(tmp_path: Path) -> None:
@@ -247,7 +261,7 @@ def test_stalls_are_counted_and_the_longest_is_named() -> None:
     assert rate.median_s == pytest.approx(0.1)
     assert rate.stalls == pytest.approx(11 / 99, abs=0.011)
     assert (rate.longest_s, rate.longest_row) == (pytest.approx(1.1), 50)
-    assert rate.second_s == pytest.approx(0.3)
+    assert (rate.gaps, rate.others_s) == (0, pytest.approx(0.3))
 
 
 def test_the_virtual_spot_has_no_findings(tmp_path: Path) -> None:
