@@ -53,7 +53,7 @@ def _git_commit() -> str:
 
 def _dvc_hash(source: str, used: Path) -> str:
     """DVC's hash of a stage's output, where the last `dvc repro` recorded one; ConfigError for a damaged dvc.lock."""
-    for lock in (path for path in (Path("dvc.lock"), Path(source, "dvc.lock")) if path.exists()):
+    for lock in (path for path in (Path("dvc.lock"), Path("pipelines", source, "dvc.lock")) if path.exists()):
         known = read_yaml(lock)
         try:
             for out in known["stages"].get(used.name, {}).get("outs", []):

@@ -14,6 +14,7 @@ from flows.locks import alone, held
 from simgap.formats.atomic import remove_unfinished
 from simgap.formats.sessions import session_files
 from simgap.types import ConfigError
+from tasks import names
 from tasks.workspace import Workspace
 
 PARAMS = Path("params.yaml")
@@ -34,10 +35,10 @@ def main(stage: str, description: str | None) -> NoReturn:
 
     def work() -> None:
         check_files(PARAMS, *arguments.overrides)
+        check_source(arguments.source, PARAMS, *arguments.overrides)
         from tasks.params import load_params
 
         params = load_params(PARAMS, *read_overrides(arguments))
-        params.source(arguments.source)
         flow = import_module(stage)
         with held(Workspace(Path(), arguments.source).lock):
             for folder in FOLDERS:
@@ -59,13 +60,13 @@ def main_apart(stage: str, description: str | None) -> NoReturn:
 
     def work() -> None:
         check_files(PARAMS, *arguments.overrides)
+        check_source(arguments.source, PARAMS, *arguments.overrides)
         own = {"recordings": {arguments.source: {"folder": str(arguments.recordings)}}}
         if arguments.recordings:
             session_files(arguments.recordings)
         from tasks.params import load_params
 
         params = load_params(PARAMS, *read_overrides(arguments), *([own] if arguments.recordings else []))
-        params.source(arguments.source)
         flow = import_module(stage)
         with alone(arguments.workspace, arguments.source):
             flow.run(arguments.source, params, arguments.workspace)
@@ -79,6 +80,17 @@ def check_files(*paths: Path) -> None:
     for path in paths:
         if not path.is_file():
             raise ConfigError(f"{path}: there is no such file here. Start the command in the folder that holds it.")
+
+
+def check_source(source: str, *files: Path) -> None:
+    """ConfigError where none of the files has a block of that name in `recordings`; what else is wrong with them,
+    their reader says."""
+    from simgap.formats.yaml_files import read_yaml
+
+    blocks = [values.get("recordings") for values in map(read_yaml, files) if isinstance(values, dict)]
+    known = [str(name) for block in blocks if isinstance(block, dict) for name in block]
+    if known and source not in known:
+        raise names.no_source(source, list(dict.fromkeys(known)))
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from flows.errors import guarded
-from flows.start import PARAMS, check_files
+from flows.start import PARAMS, check_files, check_source
 from simgap.formats.sessions import session_files
+from tasks import names
 
 
 def main() -> NoReturn:
@@ -38,15 +39,20 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _sweep(given: argparse.Namespace) -> None:
+    if given.name:
+        names.check_run(given.name)
     check_files(PARAMS)
+    check_source(given.source, PARAMS)
     if given.recordings:
         session_files(Path(given.recordings))
+    from simgap.formats.validation import check
     from tasks import forms
     from tasks.params import load_params
 
     asked = forms.defaults(load_params(PARAMS), given.source)
     asked["recordings"] |= {"folder": given.recordings} if given.recordings else {}
-    for name in ("models", "noises", "sample_sizes", "seeds"):
-        asked[name] = getattr(given, name) or asked[name]
+    asked |= check(
+        forms.Grid, {name: getattr(given, name) or asked[name] for name in forms.Grid.model_fields}
+    ).model_dump()
     asked["hyperparameters"] = forms.read_values(given.values)
     import_module("flows.sweep").start(given.name, asked)

@@ -118,4 +118,4 @@ def _show(name: str, rows: list[sweep.Row], best: sweep.Row, store: Store, paren
 
 def start(name: str, arguments: dict[str, Any]) -> None:
     """A sweep in this process, under a name of one's own or one that is made up."""
-    run(name=forms.check_name(name) if name else generate_slug(2), **arguments)
+    run(name=name or generate_slug(2), **arguments)

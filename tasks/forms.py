@@ -4,7 +4,6 @@ A list of hyperparameters that is left empty takes what params.yaml has.
 """
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path, PurePosixPath
@@ -23,29 +22,18 @@ from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, Name, SampleS
 SWEEPS = Path("sweeps")
 """Where whatever is not `dvc repro` writes; git and DVC leave it alone."""
 
-_ALIASES = r"[Ll]atest|[Nn]ewest|[Vv][0-9]+"
-"""Names of versions that MLflow uses itself, or that are given to the last one."""
-
-
-def check_name(name: str) -> str:
-    """The name of a run as it is; ConfigError where it is no folder's, or an alias of MLflow's own."""
-    if re.fullmatch(_ALIASES, name, re.IGNORECASE):
-        raise ConfigError(f"The run's name is {name!r}, an alias that MLflow uses itself. Give another name.")
-    return names.check(name, "the run's name")
-
-
 RunName = Annotated[
     str,
-    AfterValidator(check_name),
+    AfterValidator(names.check_run),
     Field(
         json_schema_extra={
             "pattern": f"^{names.PATTERN}$",
             "maxLength": names.LONGEST,
-            "not": {"pattern": f"^({_ALIASES})$"},
+            "not": {"pattern": f"^({names.ALIASES})$"},
         }
     ),
 ]
-"""Of a run, of its folder under `sweeps/` and in MLflow; the form refuses what `check_name` does."""
+"""Of a run, of its folder under `sweeps/` and in MLflow; the form refuses what `names.check_run` does."""
 Models = Annotated[list[ModelName], Field(min_length=1)]
 Noises = Annotated[list[NoiseName], Field(min_length=1)]
 SampleSizes = Annotated[list[SampleSize], Field(min_length=1)]
@@ -77,6 +65,15 @@ class Recordings(_Form):
                 "one, such as spot, or leave the folder empty."
             )
         return {"recordings": {self.source: block}} if block else {}
+
+
+class Grid(_Form):
+    """What a sweep trains."""
+
+    models: Models
+    noises: Noises
+    sample_sizes: SampleSizes
+    seeds: Seeds
 
 
 class Policies(_Form):
@@ -229,7 +226,7 @@ def _listed(key: str, values: str) -> list[Any]:
 
 def folder(name: str) -> Path:
     """The folder of a run under `sweeps/`; ConfigError where the name would lead out of it, or hide."""
-    return SWEEPS / check_name(name)
+    return SWEEPS / names.check_run(name)
 
 
 def inside(path: Path | str) -> Path:

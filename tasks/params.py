@@ -12,6 +12,7 @@ from simgap.formats.yaml_files import read_yaml
 from simgap.policies import environment, follow, learn, references, sac
 from simgap.residual import config
 from simgap.types import ConfigError
+from tasks import names
 from tasks.ranges import (
     Cases,
     Dpi,
@@ -136,10 +137,7 @@ class Params(Strict):
     def source(self, name: str) -> VirtualParams | FolderParams:
         """The recordings block of that name, or a ConfigError that lists those there are."""
         if name not in self.recordings:
-            raise ConfigError(
-                f"params.yaml has no block recordings.{name}; there are {', '.join(self.recordings)}. "
-                "Add one, with the keys folder, training and test."
-            )
+            raise names.no_source(name, self.recordings)
         return self.recordings[name]
 
 

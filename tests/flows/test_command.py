@@ -59,6 +59,8 @@ MISTAKES: list[tuple[list[str], int, str]] = [
     ([SIMGAP, "import", "rail", "--mapping", "mapping.yml", "--out", "o"], 1, "mapping.yml: there is no such file"),
     ([sys.executable, "-m", "flows.sweep"], 1, "params.yaml: there is no such file here"),
     ([sys.executable, "-m", "flows.sweep", "--sample-sizes", "many"], 2, "invalid int value: 'many'"),
+    ([sys.executable, "-m", "flows.sweep", "--name", "a/b"], 1, "the run's name is 'a/b'"),
+    ([sys.executable, "-m", "flows.sweep", "--name", "latest"], 1, "'latest', an alias that MLflow uses itself"),
     *(
         ([sys.executable, "-m", f"flows.{stage}", *arguments], status, words)
         for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
@@ -81,17 +83,50 @@ MISTAKES: list[tuple[list[str], int, str]] = [
 def test_a_mistake_is_reported_before_anything_heavy_is_imported(
     folder: Path, command: list[str], status: int, words: str
 ) -> None:
+    assert not HEAVY & imported_by(folder, command, status, words)
+    assert not (folder / "o").exists()
+
+
+def imported_by(folder: Path, command: list[str], status: int, words: str) -> set[str]:
+    """What a command imports that ends with this status and these words, and without a traceback."""
     python = [sys.executable, "-X", "importtime", *(command if command[0] == SIMGAP else command[1:])]
     done = subprocess.run(
         python, cwd=folder, capture_output=True, text=True, timeout=200, env={"PYTHONPATH": str(ROOT)}
     )
     assert done.returncode == status
     assert words in done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
     imported = set(re.findall(r"^import time:.*\| +([\w.]+)$", done.stderr, re.MULTILINE))
     assert "simgap.types" in imported
-    assert not HEAVY & imported
-    assert "Traceback" not in done.stdout + done.stderr
-    assert not (folder / "o").exists()
+    return imported
+
+
+NO_SOURCE = "params.yaml has no block recordings.nosource; there are virtual, spot. Add one"
+ONLY_NAMES, ALL_BUT_FLOWS = HEAVY, {"prefect", "mlflow"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "unneeded"),
+    [
+        (["train", "nosource"], NO_SOURCE, ONLY_NAMES),
+        (["reproduce", "nosource", "--workspace", "w"], NO_SOURCE, ONLY_NAMES),
+        (["sweep", "nosource"], NO_SOURCE, ONLY_NAMES),
+        (["sweep", "--models", "gp"], "models.0: Input should be 'sim_model'", ALL_BUT_FLOWS),
+        (
+            ["sweep", "--sample-sizes", "3"],
+            "sample_sizes.0: Input should be greater than or equal to 20",
+            ALL_BUT_FLOWS,
+        ),
+        (["sweep", "--seeds", "-1"], "seeds.0: Input should be greater than or equal to 0", ALL_BUT_FLOWS),
+    ],
+)
+def test_a_wrong_choice_in_a_project_is_reported_before_its_flow_is_imported(
+    tmp_path: Path, arguments: list[str], words: str, unneeded: set[str]
+) -> None:
+    (tmp_path / "params.yaml").write_text((ROOT / "params.yaml").read_text())
+    command = [sys.executable, "-m", f"flows.{arguments[0]}", *arguments[1:]]
+    assert not unneeded & imported_by(tmp_path, command, 1, words)
+    assert [path.name for path in tmp_path.iterdir()] == ["params.yaml"]
 
 
 @pytest.mark.parametrize(

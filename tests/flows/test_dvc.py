@@ -13,7 +13,9 @@ import pytest
 import yaml
 from test_pipeline import TINY
 
+from flows import provenance
 from tasks.params import load_params
+from tasks.workspace import Workspace
 
 ROOT = Path(__file__).parents[2]
 
@@ -118,6 +120,14 @@ def test_the_real_spots_pipeline_is_complete(run: Callable[..., str]) -> None:
         f"pipelines/spot/dvc.yaml:{stage}"
         for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
     ]
+
+
+def test_a_run_knows_dvcs_hash_of_what_it_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the real Spot, whose pipeline has a lock file of its own."""
+    monkeypatch.chdir(ROOT)
+    workspace = Workspace(Path(), "spot")
+    known = provenance.tags(workspace, workspace.transitions)["dvc_transitions"]
+    assert known in Path("pipelines", "spot", "dvc.lock").read_text()
 
 
 def test_the_metrics_of_the_repository_fit_on_a_screen() -> None:

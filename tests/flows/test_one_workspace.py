@@ -105,14 +105,18 @@ def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
-    [(CONFLICT, "dvc.lock: line 2 is the mark <<<<<<< of a merge"), ("[1, 2]", "dvc.lock: is no lock file of DVC")],
+    ("lock", "content", "words"),
+    [
+        ("dvc.lock", CONFLICT, "line 2 is the mark <<<<<<< of a merge"),
+        ("pipelines/virtual/dvc.lock", "[1, 2]", "is no lock file of DVC"),
+    ],
 )
-def test_a_damaged_lock_file_of_dvc_is_one_clear_line(tmp_path: Path, content: str, words: str) -> None:
+def test_a_damaged_lock_file_of_dvc_is_one_clear_line(tmp_path: Path, lock: str, content: str, words: str) -> None:
     project = place(tmp_path / "project")
-    (project / "dvc.lock").write_text(content)
+    (project / lock).parent.mkdir(parents=True, exist_ok=True)
+    (project / lock).write_text(content)
     status, output = finish(launch(project, ("flows.train", "virtual"), os.environ), project)
     assert status == 1
     (line,) = (line for line in output.splitlines() if line.startswith("error: "))
-    assert line.startswith(f"error: {words}")
+    assert line.startswith(f"error: {lock}: {words}")
     assert "Traceback" not in output, output
