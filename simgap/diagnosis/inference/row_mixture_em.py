@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import isotonic_regression
 from scipy.special import gammaln
 
-from simgap.diagnosis.likelihood.student_t import DOFS, Noise
+from simgap.diagnosis.likelihood.student_t import DOFS, LEAST, Noise
 
 WIDE = (2.0, 4.0, 8.0)
 """Times the plain scale that wide rows have."""
@@ -169,7 +169,7 @@ def _belonging(law: Law, chance: Float[np.ndarray, "n k"], outputs: int) -> list
 
 def maximisation(law: Law, mixture: Mixture, x: _Expected, renew: bool) -> Mixture:
     shares, noise = x.chance.mean(0), mixture.noise
-    noise = Noise(noise.scale * np.sqrt(x.spread / np.maximum(x.weight, 1e-9)), noise.dof)
+    noise = Noise(_scale(noise.scale, x.spread, x.weight), noise.dof)
     if renew:
         noise = _dof(noise, mixture.noise, x)
     slope = mixture.slope
@@ -186,6 +186,12 @@ def maximisation(law: Law, mixture: Mixture, x: _Expected, renew: bool) -> Mixtu
         slope *= np.exp(step)
         noise = Noise(noise.scale * np.where(grows, np.exp(-along * step), 1.0), noise.dof)
     return Mixture(shares, noise, mixture.mean, x.sd, slope)
+
+
+def _scale(
+    before: Float[np.ndarray, " s"], spread: Float[np.ndarray, " s"], weight: Float[np.ndarray, " s"]
+) -> Float[np.ndarray, " s"]:
+    return np.maximum(before * np.sqrt(np.maximum(spread, 0.0) / np.maximum(weight, 1e-9)), LEAST)
 
 
 def _dof(noise: Noise, before: Noise, x: _Expected) -> Noise:
@@ -208,7 +214,7 @@ def _rescaled(noise: Noise, before: Noise, x: _Expected) -> tuple[Noise, Float[n
             weight += _over_rows(u)
             u *= z2 * ratio
             spread += _over_rows(u)
-        scale = scale * np.sqrt(spread / np.maximum(weight, 1e-9))
+        scale = _scale(scale, spread, weight)
     noise, ratio = Noise(scale, noise.dof), ((before.scale / scale) ** 2).astype(np.float32)
     parts = [_over_rows(r * _log_t(z2 * ratio, noise, dof)) for r, z2 in x.parts]
     return noise, np.sum(parts, axis=0)

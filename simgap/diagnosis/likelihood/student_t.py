@@ -9,6 +9,8 @@ from scipy.special import gammaln
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
 FROM_AFAR, FROM_NEAR = 6, 3
 """Steps to the scale of the first of these, and from each one's to the next one's."""
+LEAST = 1e-9
+"""Least scale, of outputs that a model predicts exactly."""
 FURTHEST = 1e15
 """Decorrelated innovations beyond this count as this: their squares stay finite in 32 bits."""
 
@@ -38,7 +40,7 @@ def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
     if not len(e):
         return Noise(np.ones(e.shape[1]), np.full(e.shape[1], DOFS[-1]))
     squared = np.maximum(np.clip(e.T.astype(np.float32), -FURTHEST, FURTHEST) ** 2, np.float32(1e-30))
-    variance, found = np.maximum(np.median(squared, axis=-1) * 2, 1e-18), []
+    variance, found = np.maximum(np.median(squared, axis=-1) * 2, LEAST**2), []
     for dof in DOFS:
         variance, density = _fit_scale(squared, variance, float(dof), FROM_NEAR if found else FROM_AFAR)
         found.append((variance, density))
@@ -60,7 +62,7 @@ def _fit_scale(
         work += np.float32(dof)
         np.reciprocal(work, out=work)
         mean = work.mean(-1, dtype=np.float64)
-        variance = variance * np.maximum(1 / mean - dof, 0.0) + 1e-18
+        variance = variance * np.maximum(1 / mean - dof, 0.0) + LEAST**2
     np.divide(squared, (dof * variance[:, None]).astype(np.float32), out=work)
     tails = np.log1p(work, out=work).mean(-1, dtype=np.float64)
     density = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * variance)

@@ -72,7 +72,11 @@ def statement(
     effects = [e for (_, e), sure in zip(members, concluded.named, strict=True) if sure]
     matches = [possible and not sure for possible, sure in zip(concluded.possible, concluded.named, strict=True)]
     doubtful = [e for (m, e), match in zip(members, matches, strict=True) if match and _matches(found, m, e)]
-    (effects if verdict == "missing_physics" else doubtful).extend(_scattered(s) for s in found.scattered)
+    scattered = [_scattered(s) for s in found.scattered]
+    if verdict == "missing_physics":
+        effects += scattered
+    else:
+        doubtful += [e for e in scattered if e["heldout_gain_nats"] > 0]
     content = {
         "schema": 1, "simulator": name, "verdict": verdict,
         "recordings": {

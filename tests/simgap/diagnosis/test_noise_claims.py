@@ -56,6 +56,12 @@ def test_what_is_planted_is_likely_and_has_alternatives(kind: str) -> None:
         assert sum(f.odds.values()) == pytest.approx(1)
 
 
+@pytest.mark.filterwarnings("error")
+def test_outputs_that_are_predicted_exactly_are_no_warning() -> None:
+    samples = [sample._replace(e=np.zeros_like(sample.e)) for sample in drawn("stalls", 0)]
+    assert explained(ROBOT, fit_noise(samples[0].e), *samples) is None
+
+
 @pytest.mark.parametrize(("kind", "names"), CONSTANTS.items())
 def test_intervals_of_rows_hold_the_truth_as_often_as_they_say(kind: str, names: dict[str, float]) -> None:
     found = [f.constants for f in (said(kind, seed) for seed in range(ROW_SETS)) if f is not None]
