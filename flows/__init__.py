@@ -10,7 +10,7 @@ from simgap.cli import environment
 from tasks import server
 
 _DEFAULTS = {
-    **environment.NUMERICS,
+    **environment.numerics(),
     "JAX_COMPILATION_CACHE_DIR": os.path.abspath(".jax"),
     # On a cluster a flow without a server starts one; on two cores that takes longer than the default 20 s.
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",

@@ -18,7 +18,7 @@ def main() -> None:
     """A subcommand: status 0 whatever it finds, 1 with an explained error, 2 for wrong arguments."""
     given = parser().parse_args()
     environment.collect_seldom()
-    environment.settle({**environment.NUMERICS, "JAX_COMPILATION_CACHE_DIR": str(environment.cache())})
+    environment.settle({**environment.numerics(), "JAX_COMPILATION_CACHE_DIR": str(environment.cache())})
     progress.choose(quiet=given.quiet, verbose=given.verbose, json=getattr(given, "json", False))
     # A simulator of one's own lies where the command is started; behind the libraries, whose names may be the same.
     sys.path.append(str(Path.cwd()))
