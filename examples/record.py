@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +22,7 @@ from jaxtyping import Float
 from examples.car import CAR
 from examples.drive import DRIVE
 from simgap.formats.recordings import write_recording
+from simgap.loading import seeds
 from simgap.types import Recording, StepModel
 
 FINE = 0.001
@@ -142,15 +144,33 @@ def record(machine: str, folder: Path, sessions: int, seconds: float, seed: int)
     return paths
 
 
+def _number(kind: type[int | float], low: float, high: float) -> Callable[[str], Any]:
+    """What reads the number of an option, and refuses one that is not between these."""
+
+    def read(text: str) -> Any:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            what = "whole number" if kind is int else "number"
+            raise argparse.ArgumentTypeError(f"must be a {what} from {low:,} to {high:,}; it is {text!r:.40}")
+        return value
+
+    return read
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         "python -m examples.record", description="Record a machine whose physics its simulator leaves out."
     )
     parser.add_argument("machine", choices=[*MACHINES, "arm"])
     parser.add_argument("folder", type=Path, help="folder to write the recording set to")
-    parser.add_argument("--sessions", type=int, default=8)
-    parser.add_argument("--seconds", type=float, help="length of a session [s]; 8 for the arm, 30 for the others")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sessions", type=_number(int, 1, 1000), default=8)
+    parser.add_argument(
+        "--seconds", type=_number(float, 0.1, 3600), help="length of a session [s]; 8 for the arm, 30 for the others"
+    )
+    parser.add_argument("--seed", type=_number(int, 0, seeds.LARGEST), default=0)
     parser.add_argument("--missing", default="friction", help="what the arm's model leaves out (arm only)")
     parser.add_argument("--positions-only", action="store_true", help="record no velocities (arm only)")
     given = parser.parse_args()

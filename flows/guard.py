@@ -27,7 +27,7 @@ def prefect() -> ASGIApp:
     """What `prefect server start` serves, guarded; it asks for a login by itself, PREFECT_SERVER_API_AUTH_STRING."""
     from prefect.server.api.server import create_app
 
-    return _guarded(create_app(final=True), None)
+    return guarded(create_app(final=True), None)
 
 
 def mlflow() -> ASGIApp:
@@ -35,10 +35,11 @@ def mlflow() -> ASGIApp:
     from tasks.tracking import links
 
     os.environ |= links.settings(os.environ[STORE], os.environ[ARTIFACTS])
-    return _guarded(links.application(), os.environ.get(LOGIN))
+    return guarded(links.application(), os.environ.get(LOGIN))
 
 
-def _guarded(app: ASGIApp, login: str | None) -> ASGIApp:
+def guarded(app: ASGIApp, login: str | None) -> ASGIApp:
+    """An application that answers only those whom the environment names as `HOSTS`, and who know the login if any."""
     return TrustedHostMiddleware(_Guard(app, login), os.environ[HOSTS].split(","), www_redirect=False)
 
 
@@ -59,8 +60,16 @@ class _Guard:
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
         headers = Headers(scope=scope)
         origin, given = headers.get("origin"), headers.get("authorization", "").encode()
-        if origin is not None and urlsplit(origin).netloc != headers.get("host"):
+        if origin is not None and not _is_of(origin, headers.get("host")):
             return PlainTextResponse("Refused: the request comes from another web page.", 403)
         if self._expected and scope["path"] != "/health" and not hmac.compare_digest(given, self._expected):
             return PlainTextResponse("A login is needed.", 401, {"WWW-Authenticate": 'Basic realm="simgap"'})
         return None
+
+
+def _is_of(origin: str, host: str | None) -> bool:
+    """Whether an `Origin` is a page of the server that the request's `Host` names; one that is no address is not."""
+    try:
+        return urlsplit(origin).netloc == host
+    except ValueError:
+        return False

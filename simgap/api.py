@@ -19,6 +19,7 @@ from simgap.loading.checks import check
 from simgap.loading.load import Used, prepared, started
 from simgap.loading.load import load as load_simulator
 from simgap.loading.model_files import ModelFile, named, recalled
+from simgap.loading.seeds import check_seed
 from simgap.result import Result
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.types import ConfigError, Recording, RecordingError, Schema, StepModel
@@ -48,9 +49,10 @@ def diagnose(
     baseline: sessions from before the machine changed: the question is what changed since. progress: is called with
     every step, in words.
 
-    Raises ConfigError for a simulator that cannot be used, RecordingError where recordings cannot be, and
+    Raises ConfigError for a simulator or a seed that cannot be used, RecordingError where recordings cannot be, and
     DivergenceError when the simulator leaves the finite numbers on them.
     """
+    check_seed(seed)
     asked = {"recordings": recordings, "heldout": heldout, "baseline": baseline}
     asked = {purpose: some for purpose, some in asked.items() if some is not None}
     used = _used(simulator, list(asked.values()))

@@ -12,12 +12,12 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
 from simgap import fsvgd, identify, priors
-from simgap.formats.validation import check
+from simgap.formats.validation import NUMBER, check
 from simgap.residual import config
 from simgap.types import ConfigError
 from tasks import names
-from tasks.params import FolderParams, ModelName, NoiseName, Params, VirtualParams
-from tasks.ranges import LONGEST_SESSION_S, MOST_SESSIONS, RANGES, Name, SampleSize, Seed, bounded
+from tasks.params import FolderParams, Models, NoiseName, Noises, Params, SampleSizes, Seeds, VirtualParams
+from tasks.ranges import MOST_VALUES, RANGES, Name, SessionLengthOr0, SessionsOr0, bounded, check_cells
 
 SWEEPS = Path("sweeps")
 """Where whatever is not `dvc repro` writes; git and DVC leave it alone."""
@@ -34,10 +34,6 @@ RunName = Annotated[
     ),
 ]
 """Of a run, of its folder under `sweeps/` and in MLflow; the form refuses what `names.check_run` does."""
-Models = Annotated[list[ModelName], Field(min_length=1)]
-Noises = Annotated[list[NoiseName], Field(min_length=1)]
-SampleSizes = Annotated[list[SampleSize], Field(min_length=1)]
-Seeds = Annotated[list[Seed], Field(min_length=1)]
 
 
 class _Form(BaseModel):
@@ -49,11 +45,9 @@ class Recordings(_Form):
 
     source: Name = Field(description="A block of params.yaml's recordings, such as virtual or spot.")
     folder: str = Field("", description="Folder in the project, in place of the block's; empty: the block's.")
-    training_sessions: int = Field(0, ge=0, le=MOST_SESSIONS, description="Of the virtual robot; 0: as in params.yaml.")
-    test_sessions: int = Field(0, ge=0, le=MOST_SESSIONS, description="Of the virtual robot; 0: as in params.yaml.")
-    session_s: float = Field(
-        0, ge=0, le=LONGEST_SESSION_S, title="Session length", description="Of each [s]; 0: as in params.yaml."
-    )
+    training_sessions: SessionsOr0 = Field(0, description="Of the virtual robot; 0: as in params.yaml.")
+    test_sessions: SessionsOr0 = Field(0, description="Of the virtual robot; 0: as in params.yaml.")
+    session_s: SessionLengthOr0 = Field(0, title="Session length", description="Of each [s]; 0: as in params.yaml.")
 
     def overrides(self, params: Params) -> dict[str, Any]:
         """What it changes in params.yaml; a block has fields for the virtual robot or a folder, not both."""
@@ -83,8 +77,10 @@ class Policies(_Form):
     models: Models = Field(description="How the models learn.")
     sample_sizes: SampleSizes = Field(description="N, transitions that the models learn from.")
     seeds: Seeds = Field(description="Of models and policies.")
-    environment_steps: int = Field(description="At most so many for a policy.", **RANGES["environment_steps"])
-    learning_rate: float = Field(
+    environment_steps: Annotated[int, NUMBER] = Field(
+        description="At most so many for a policy.", **RANGES["environment_steps"]
+    )
+    learning_rate: Annotated[float, NUMBER] = Field(
         description="Of soft actor-critic: actor, critics and temperature.", **RANGES["learning_rate_policy"]
     )
 
@@ -112,7 +108,10 @@ def policies(params: Params) -> dict[str, Any]:
 def _values(config: type, what: str) -> Any:
     """A form with a list of values to try for every field of a configuration."""
     fields: dict[str, Any] = {
-        f.name: (list[bounded(f)], Field(default_factory=list, description=RANGES[f.name].get("description")))
+        f.name: (
+            list[bounded(f)],
+            Field(default_factory=list, max_length=MOST_VALUES, description=RANGES[f.name].get("description")),
+        )
         for f in dataclasses.fields(config)
     }
     return create_model(what, __base__=_Form, __doc__=f"Values to try of train.{what}; a list left empty takes "
@@ -170,13 +169,14 @@ def _plain(value: Any) -> Any:
 
 
 def variants(hyperparameters: BaseModel) -> list[dict[str, Any]]:
-    """Every combination of the values, as overrides of `train` by dotted name."""
+    """Every combination of the values, as overrides of `train` by dotted name; ConfigError where they are too many."""
     given = {
         f"{block}.{name}": values
         for block, form in hyperparameters.model_dump().items()
         for name, values in form.items()
         if values
     }
+    check_cells(*map(len, given.values()))
     return [dict(zip(given, chosen, strict=True)) for chosen in product(*given.values())]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from simgap import fsvgd, identify, priors
 from simgap.formats.validation import explained
@@ -14,6 +14,7 @@ from simgap.residual import config
 from simgap.types import ConfigError
 from tasks import names
 from tasks.ranges import (
+    MOST_VALUES,
     Cases,
     Dpi,
     Gain,
@@ -36,12 +37,18 @@ from tasks.ranges import (
     Strength,
     Strict,
     Workers,
+    check_cells,
 )
 
 ModelName = Literal[
     "sim_model", "fsvgd", "sim_fsvgd", "sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed"
 ]
 NoiseName = Literal["gaussian", "student_t"]
+_Some = Field(min_length=1, max_length=MOST_VALUES)
+Models = Annotated[list[ModelName], _Some]
+Noises = Annotated[list[NoiseName], _Some]
+SampleSizes = Annotated[list[SampleSize], _Some]
+Seeds = Annotated[list[Seed], _Some]
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -67,10 +74,10 @@ class TransitionsParams(Strict):
 
 
 class TrainParams(Strict):
-    models: list[ModelName] = Field(min_length=1)
-    noises: list[NoiseName] = Field(min_length=1, description="Families of the learned likelihood.")
-    sample_sizes: list[SampleSize] = Field(min_length=1, description="N, transitions to learn from.")
-    seeds: list[Seed] = Field(min_length=1)
+    models: Models
+    noises: Noises = Field(description="Families of the learned likelihood.")
+    sample_sizes: SampleSizes = Field(description="N, transitions to learn from.")
+    seeds: Seeds
     workers: Workers = Field(description="Cells trained side by side.")
     bnn: Annotated[fsvgd.Config, Ranged()]
     sim_model: Annotated[identify.Config, Ranged()]
@@ -78,9 +85,14 @@ class TrainParams(Strict):
     sim_fsvgd: Annotated[priors.SimulatorConfig, Ranged()]
     residual: Annotated[config.Config, Ranged()]
 
+    @model_validator(mode="after")
+    def _few_cells(self) -> "TrainParams":
+        check_cells(*map(len, (self.models, self.noises, self.sample_sizes, self.seeds)))
+        return self
+
 
 class ScoreParams(Strict):
-    horizons: list[Steps] = Field(min_length=1, description="Steps of rollout.")
+    horizons: list[Steps] = Field(min_length=1, max_length=MOST_VALUES, description="Steps of rollout.")
     stride: Steps = Field(description="Rows between starts of rollouts.")
 
 
@@ -90,19 +102,24 @@ class ReportParams(Strict):
 
 class PolicyParams(Strict):
     noise: NoiseName = Field(description="Family of the likelihood of the models that policies learn in.")
-    models: list[ModelName] = Field(min_length=1)
-    sample_sizes: list[SampleSize] = Field(min_length=1, description="N, of the models.")
-    seeds: list[Seed] = Field(min_length=1)
+    models: Models
+    sample_sizes: SampleSizes = Field(description="N, of the models.")
+    seeds: Seeds
     workers: Workers = Field(description="Policies learnt side by side.")
     environment: Annotated[environment.Config, Ranged()]
     learning: Annotated[learn.Config, Ranged()]
     sac: Annotated[sac.Config, Ranged()]
 
+    @model_validator(mode="after")
+    def _few_cells(self) -> "PolicyParams":
+        check_cells(*map(len, (self.models, self.sample_sizes, self.seeds)))
+        return self
+
 
 class ProportionalParams(Strict):
     """What policies are compared with, a controller for every gain."""
 
-    gains: list[Gain] = Field(description="Of the hand [1/s].")
+    gains: list[Gain] = Field(max_length=MOST_VALUES, description="Of the hand [1/s].")
     base_gain: Gain = Field(description="Of the base [1/s].")
     rest: tuple[Metres, Metres, Metres] = Field(description="Where the base would have the hand, in its frame [m].")
 
@@ -159,13 +176,17 @@ class ConcealParams(Strict):
     round: Cases = Field(description="Which examination of the same code.")
     nulls: Cases = Field(description="Cases without an effect.")
     effects: list[str] = Field(description="Ids of single effects; empty: all there are.")
-    strengths: list[Strength] = Field(description="A case of every effect at each.")
-    duel_strengths: list[Strength] = Field(description="A case of both sides of every pair that is easily confused.")
+    strengths: list[Strength] = Field(max_length=MOST_VALUES, description="A case of every effect at each.")
+    duel_strengths: list[Strength] = Field(
+        max_length=MOST_VALUES, description="A case of both sides of every pair that is easily confused."
+    )
     pairs: Cases = Field(description="Cases of two effects.")
     triples: Cases = Field(description="Cases of three effects.")
     regimes: Cases = Field(description="Effects that act in a regime only.")
     onsets: Cases = Field(description="Effects that act from a time on only.")
-    outside_strengths: list[Strength] = Field(description="A case of every law outside the vocabulary at each.")
+    outside_strengths: list[Strength] = Field(
+        max_length=MOST_VALUES, description="A case of every law outside the vocabulary at each."
+    )
     parts: Parts = Field(description="Stratified samples that the suite is dealt out into.")
     few: Share = Field(description="Of all cases: few data.")
     poor: Share = Field(description="Of all cases: poor excitation.")
@@ -175,7 +196,7 @@ class ConcealParams(Strict):
 
 
 class ExamineParams(Strict):
-    parts: list[Part] = Field(description="Parts of the suite to be diagnosed; empty: all.")
+    parts: list[Part] = Field(max_length=MOST_VALUES, description="Parts of the suite to be diagnosed; empty: all.")
     workers: Workers = Field(description="Processes that diagnose.")
     seed: Seed = Field(description="Seed of what the diagnosis draws.")
     patience_s: Patience = Field(description="Time after which a diagnosis is given up [s].")

@@ -4,6 +4,7 @@ The bounds keep out what cannot be meant; inside them a value may still be a poo
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, get_args, get_origin
 
@@ -18,10 +19,16 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
+from simgap.formats.validation import NUMBER
+from simgap.loading import seeds
 from simgap.types import ConfigError
 from tasks import names
 
 MOST_SESSIONS, LONGEST_SESSION_S = 1000, 3600
+MOST_VALUES = 1000
+"""Of a list of seeds, sizes, strengths or values to try; what is repeated more often is a slip."""
+MOST_CELLS = 10_000
+"""Of a grid, each of which is trained and has a run in MLflow: at a minute a cell, a week."""
 
 Name = Annotated[
     str,
@@ -29,29 +36,31 @@ Name = Annotated[
     Field(json_schema_extra={"pattern": f"^{names.PATTERN}$", "maxLength": names.LONGEST}),
 ]
 """What becomes a file or a folder."""
-Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
-SampleSize = Annotated[int, Field(ge=20, le=1_000_000)]
-Sessions = Annotated[int, Field(ge=1, le=MOST_SESSIONS)]
-SessionLength = Annotated[float, Field(gt=0, le=LONGEST_SESSION_S)]
-Workers = Annotated[int, Field(ge=1, le=1024)]
-Steps = Annotated[int, Field(ge=1, le=100_000)]
-Rate = Annotated[float, Field(gt=0, le=10_000)]
+Seed = Annotated[int, Field(ge=0, le=seeds.LARGEST), NUMBER]
+SampleSize = Annotated[int, Field(ge=20, le=1_000_000), NUMBER]
+Sessions = Annotated[int, Field(ge=1, le=MOST_SESSIONS), NUMBER]
+SessionsOr0 = Annotated[int, Field(ge=0, le=MOST_SESSIONS), NUMBER]
+SessionLength = Annotated[float, Field(gt=0, le=LONGEST_SESSION_S), NUMBER]
+SessionLengthOr0 = Annotated[float, Field(ge=0, le=LONGEST_SESSION_S), NUMBER]
+Workers = Annotated[int, Field(ge=1, le=1024), NUMBER]
+Steps = Annotated[int, Field(ge=1, le=100_000), NUMBER]
+Rate = Annotated[float, Field(gt=0, le=10_000), NUMBER]
 """Rows per second."""
-Dpi = Annotated[int, Field(ge=1, le=1200)]
-Gain = Annotated[float, Field(gt=0, le=1000)]
-Speed = Annotated[float, Field(gt=0, le=100)]
-Metres = Annotated[float, Field(ge=-100, le=100)]
-Strength = Annotated[float, Field(gt=0, le=1_000_000)]
+Dpi = Annotated[int, Field(ge=1, le=1200), NUMBER]
+Gain = Annotated[float, Field(gt=0, le=1000), NUMBER]
+Speed = Annotated[float, Field(gt=0, le=100), NUMBER]
+Metres = Annotated[float, Field(ge=-100, le=100), NUMBER]
+Strength = Annotated[float, Field(gt=0, le=1_000_000), NUMBER]
 """Of a concealed effect [nat]."""
-Cases = Annotated[int, Field(ge=0, le=100_000)]
-Parts = Annotated[int, Field(ge=1, le=1000)]
-Part = Annotated[int, Field(ge=0, lt=1000)]
-SessionFiles = Annotated[int, Field(ge=2, le=26)]
+Cases = Annotated[int, Field(ge=0, le=100_000), NUMBER]
+Parts = Annotated[int, Field(ge=1, le=1000), NUMBER]
+Part = Annotated[int, Field(ge=0, lt=1000), NUMBER]
+SessionFiles = Annotated[int, Field(ge=2, le=26), NUMBER]
 """A letter each."""
-SessionRows = Annotated[int, Field(ge=50, le=100_000)]
-Patience = Annotated[float, Field(gt=0, le=604_800)]
+SessionRows = Annotated[int, Field(ge=50, le=100_000), NUMBER]
+Patience = Annotated[float, Field(gt=0, le=604_800), NUMBER]
 """At most a week [s]."""
-Share = Annotated[float, Field(ge=0, le=1)]
+Share = Annotated[float, Field(ge=0, le=1), NUMBER]
 
 _COUNT = {"ge": 1, "le": 10_000_000}
 _RATE = {"gt": 0, "le": 1}
@@ -151,6 +160,12 @@ MOST_ENTRIES = 100
 """Of a list of any length, such as the widths of a network's layers."""
 
 
+def check_cells(*counts: int) -> None:
+    """ConfigError where a grid with so many values along each of its sides has more than `MOST_CELLS` cells."""
+    if (cells := math.prod(counts)) > MOST_CELLS:
+        raise ConfigError(f"the grid has {cells:,} cells; it may have {MOST_CELLS:,}. Give fewer values to try.")
+
+
 class Strict(BaseModel):
     """A block of a file: no unknown key, no number that is not finite, unchangeable."""
 
@@ -170,8 +185,8 @@ def bounded(key: dataclasses.Field[Any]) -> Any:
     """The type of a configuration's key with its range; KeyError where `RANGES` lacks the key."""
     limits = {name: value for name, value in RANGES[key.name].items() if name != "description"}
     if get_origin(key.type) is not tuple:
-        return Annotated[key.type, Field(**limits)]
-    entries = tuple(e if e is Ellipsis else Annotated[e, Field(**limits)] for e in get_args(key.type))
+        return Annotated[key.type, Field(**limits), NUMBER]
+    entries = tuple(e if e is Ellipsis else Annotated[e, Field(**limits), NUMBER] for e in get_args(key.type))
     listed = tuple[entries]  # type: ignore[valid-type]
     return Annotated[listed, Field(max_length=MOST_ENTRIES)] if Ellipsis in entries else listed
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from simgap.formats.documents import read_json, write_table
 from tasks import forms, report, score, train
 from tasks.params import Params
+from tasks.ranges import check_cells
 from tasks.tracking.runs import Run, latest_run
 from tasks.tracking.store import Store
 from tasks.workspace import Cell, Workspace
@@ -37,6 +38,7 @@ def cells(
     root: Path, source: str, hyperparameters: BaseModel, params: Callable[[dict[str, Any]], Params]
 ) -> dict[tuple[Workspace, Cell], Params]:
     """Every combination as a cell in a variant's workspace; a cell that a value does not concern is there once.
+    ConfigError where they are too many.
 
     `params(overrides)`: the parameters with these changes.
     """
@@ -46,6 +48,7 @@ def cells(
         for cell in train.grid(own.train):
             place = (Workspace(root, source, forms.label(chosen, hyperparameters, cell.method)), cell)
             found.setdefault(place, own)
+        check_cells(len(found))
     return found
 
 

@@ -11,6 +11,7 @@ from simgap.cli.errors import guarded
 from simgap.formats import sessions
 from simgap.loading import trial
 from simgap.loading.model_files import ModelFile, PerJoint, named
+from simgap.loading.seeds import check_seed
 from simgap.types import ConfigError
 
 
@@ -78,6 +79,7 @@ def _add_diagnose(commands: Any) -> None:
 
 
 def _diagnose(given: argparse.Namespace) -> None:
+    check_seed(given.seed)
     first, *further = given.recordings
     folders = [*given.recordings, *filter(None, (given.heldout, given.baseline))]
     found = {folder: len(sessions.session_files(folder)) for folder in folders}
@@ -183,9 +185,12 @@ def _per_joint(text: str) -> PerJoint:
     try:
         if "=" not in text:
             return float(text)
-        return {joint: float(value) for joint, _, value in (part.partition("=") for part in text.split(","))}
+        pairs = [(joint, float(value)) for joint, _, value in (part.partition("=") for part in text.split(","))]
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a number, or joint=number,joint=number; it is {text!r}") from None
+    if len(dict(pairs)) < len(pairs):
+        raise argparse.ArgumentTypeError(f"must have every joint once; it is {text!r}")
+    return dict(pairs)
 
 
 def _simulator(given: argparse.Namespace) -> str | ModelFile:

@@ -4,6 +4,8 @@ Columns are named by a feature and its entry, as `observation.state.shoulder_pan
 number, as `action.0`; a feature of one number by itself, as `timestamp`. Videos are not looked at.
 """
 
+import math
+import reprlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -16,10 +18,15 @@ import pyarrow.parquet as pq
 
 from simgap.formats.column_names import nearest, unused
 from simgap.formats.documents import read_json
+from simgap.formats.mapping import FASTEST_HZ
 from simgap.formats.tables import Columns
 from simgap.types import MOST_ROWS, RecordingError
 
 EPISODE, FRAME, STAMP = "episode_index", "frame_index", "timestamp"
+MOST_ENTRIES = 10_000
+"""Most numbers of a feature: robots have some hundred, and each becomes a column, of which a CSV file has as many."""
+SLOWEST_HZ = 0.001
+"""Fewest frames a second: one in a quarter of an hour."""
 
 
 class Episode(NamedTuple):
@@ -50,8 +57,8 @@ def episodes(root: Path, wanted: Sequence[str]) -> Iterator[Episode]:
         features = list(dict.fromkeys([EPISODE, FRAME, *(place.feature for place in places.values())]))
         try:
             table = pq.read_table(path, columns=features)
-            numbers = np.unique(table[EPISODE].to_numpy())
-        except (pa.ArrowException, OSError, KeyError) as error:
+            numbers = _numbers(table)
+        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
             yield Episode(path.stem, partial(_refuse, path, error))
             continue
         for number in numbers:
@@ -63,16 +70,28 @@ def described(root: Path) -> tuple[dict[str, _Place], float]:
     """The columns of a data set by name, by what meta/info.json says of its features; and frames a second."""
     info = read_json(root / "meta" / "info.json")
     try:
-        version, features, fps = str(info["codebase_version"]), info["features"], float(info["fps"])
+        version, features, fps = str(info["codebase_version"]), info["features"], _rate(info["fps"])
         there = {name: place for feature, entry in features.items() for name, place in _entries(feature, entry)}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
+        said = str(error) if isinstance(error, ValueError) else repr(error)
         raise RecordingError(
-            f"{root}/meta/info.json: describes no LeRobot data set ({error!r}). Download the data set whole."
+            f"{root}/meta/info.json: describes no LeRobot data set ({said}). Download the data set whole."
         ) from None
     if version.lstrip("v").split(".")[0] not in ("2", "3"):
         raise RecordingError(f"{root}: is a LeRobot data set of version {version}; 2 and 3 are read. Convert it with "
                              "LeRobot's own script.")  # fmt: skip
     return there, fps
+
+
+def _rate(fps: Any) -> float:
+    """Frames a second as a number; ValueError where it is none, or absurd."""
+    try:
+        rate = float(fps)
+    except (TypeError, ValueError, OverflowError):
+        rate = math.nan
+    if not SLOWEST_HZ <= rate <= FASTEST_HZ:
+        raise ValueError(f"fps is {reprlib.repr(fps)}; it must be a number from {SLOWEST_HZ:g} to {FASTEST_HZ:,}")
+    return rate
 
 
 def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float]:
@@ -90,6 +109,10 @@ def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Pl
     if described["dtype"] in ("image", "video", "string") or len(described["shape"]) != 1:
         return
     (size,) = described["shape"]
+    if type(size) is not int or not 1 <= size <= MOST_ENTRIES:
+        raise ValueError(
+            f"the shape of {feature!r:.100} is [{reprlib.repr(size)}]; it must be one number from 1 to {MOST_ENTRIES:,}"
+        )
     names = described.get("names")
     if isinstance(names, dict):  # {"motors": [...]}
         names = [name for group in names.values() for name in group]
@@ -98,6 +121,15 @@ def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Pl
     if size == 1:
         yield feature, _Place(feature, None)
     yield from ((f"{feature}.{name}", _Place(feature, i)) for i, name in enumerate(names))
+
+
+def _numbers(table: pa.Table) -> np.ndarray:
+    """The numbers of a file's episodes; ValueError where they are no numbers."""
+    column = table[EPISODE]
+    if not pa.types.is_integer(column.type) or column.null_count:
+        blank = f" and {column.null_count} blanks" if column.null_count else ""
+        raise ValueError(f"{EPISODE} holds values of type {column.type}{blank}; all must be whole numbers")
+    return np.unique(column.to_numpy())
 
 
 def _columns(path: Path, table: pa.Table, places: dict[str, _Place], fps: float) -> Columns:
@@ -109,7 +141,7 @@ def _columns(path: Path, table: pa.Table, places: dict[str, _Place], fps: float)
         if STAMP in rows:
             rows[STAMP] = _exact(rows[STAMP], _rows(table[FRAME]) / fps)
         return {name: rows[place.feature][:, place.entry or 0] for name, place in places.items()}
-    except (pa.ArrowException, KeyError, IndexError, ValueError) as error:
+    except (pa.ArrowException, KeyError, IndexError, TypeError, ValueError) as error:
         raise _damaged(path, error) from None
 
 

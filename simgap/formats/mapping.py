@@ -1,26 +1,31 @@
 """A mapping file: where every column of a robot's recordings comes from, in bags, tables and LeRobot data sets."""
 
-from collections.abc import Collection
+import math
+from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from simgap import resample
 from simgap.formats.column_names import listed, nearest
-from simgap.formats.validation import check
+from simgap.formats.validation import NUMBER, check
 from simgap.formats.yaml_files import read_yaml
 from simgap.types import ConfigError, Schema
 
 _LINES, _LINE = 20, 1000  # lines, and characters in each, of a message of a mapping file
 
 
+Number = Annotated[float, NUMBER]
 PERCENT = "percent"
 """A unit of values that are shares of a range."""
+FASTEST_HZ = 10_000
+"""Most rows a second; the logs of robots have a thousand, seldom more."""
 
 
 class _Block(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Column(_Block):
@@ -32,10 +37,8 @@ class Column(_Block):
         "", description="Of a table; of a LeRobot data set, a feature and its entry, joined by a point."
     )
     unit: str = Field("", description="Of the values; empty: the schema's.")
-    scale: float | None = Field(
-        None, allow_inf_nan=False, description="In place of a unit: what the values are multiplied by."
-    )
-    range: tuple[float, float] | None = Field(
+    scale: Number | None = Field(None, description="In place of a unit: what the values are multiplied by.")
+    range: tuple[Number, Number] | None = Field(
         None, description="With the unit percent: what 0 and 100 percent are, in the schema's unit."
     )
     frame: Literal["world", "body"] | None = Field(None, description="Of the values; empty: the schema's.")
@@ -50,6 +53,8 @@ class Column(_Block):
             raise ValueError("give `unit` or `scale`, not both")
         if (self.unit == PERCENT) != (self.range is not None):
             raise ValueError("give `unit: percent` and `range: [what 0 is, what 100 is]` together, or neither")
+        if self.range and not 0 < abs(self.range[1] - self.range[0]) < math.inf:
+            raise ValueError("`range` must be two different numbers, [what 0 is, what 100 is]")
         if self.scale == 0:
             raise ValueError("`scale` must not be 0")
         if self.column and self.time:
@@ -68,10 +73,8 @@ class Time(_Block):
 class MappingFile(_Block):
     """A mapping file."""
 
-    rate_hz: float = Field(gt=0, le=10_000, description="Rows a second.")
-    longest_gap_s: float = Field(
-        gt=0, allow_inf_nan=False, description="A session is cut where a column of the state pauses for longer."
-    )
+    rate_hz: Number = Field(gt=0, le=FASTEST_HZ, description="Rows a second.")
+    longest_gap_s: Number = Field(gt=0, description="A session is cut where a column of the state pauses for longer.")
     time: Time = Time()  # type: ignore[call-arg]
     columns: dict[str, Column]
 
@@ -125,11 +128,17 @@ def _check_columns(mapping: MappingFile, schema: Schema, known: Collection[str])
         needs = f"it must have {listed(missing)} as well" if missing else "leave these out, or correct their names"
         raise ConfigError(f"columns {' and '.join(wrong)}; {needs}{nearest(unknown, known)}. "
                           f"Columns of the simulator: {listed(known)}.")  # fmt: skip
+    _check_unit("time.unit", partial(resample.factor, mapping.time.unit, "s"))
     for name, column in mapping.columns.items():
-        try:
-            _factor(column, fields[name].unit)
-        except ConfigError as error:
-            raise ConfigError(f"columns.{name}.unit: {error}") from None
+        _check_unit(f"columns.{name}.unit", partial(_factor, column, fields[name].unit))
         if column.frame and column.frame != fields[name].frame and fields[name] in schema.command:
             raise ConfigError(f"columns.{name}.frame: commands are in the frame of the schema, {fields[name].frame}. "
                               "Give them so.")  # fmt: skip
+
+
+def _check_unit(key: str, factor: Callable[[], float]) -> None:
+    """ConfigError that names the key, unless there is a factor between its unit and the schema's."""
+    try:
+        factor()
+    except ConfigError as error:
+        raise ConfigError(f"{key}: {error}") from None

@@ -169,7 +169,8 @@ def _arrow_numbers(path: Path, name: str, column: pa.ChunkedArray) -> Float[np.n
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
-    return RecordingError(f"{path}: is no whole Parquet file ({error}). Write or copy it again, or leave it out.")
+    said = " ".join(str(error).split())
+    return RecordingError(f"{path}: is no whole Parquet file ({said}). Write or copy it again, or leave it out.")
 
 
 def _too_many(path: Path) -> RecordingError:

@@ -3,11 +3,21 @@
 import reprlib
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from simgap.types import ConfigError
 
 Form = TypeVar("Form", bound=BaseModel)
+
+
+def _no_truth(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError("Input should be a number")
+    return value
+
+
+NUMBER = BeforeValidator(_no_truth)
+"""Annotates a number, behind its range: pydantic alone takes true for 1."""
 
 
 def check(form: type[Form], values: Any) -> Form:

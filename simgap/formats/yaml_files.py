@@ -12,8 +12,11 @@ DEEPEST = 20
 """Levels of blocks in blocks at most; the project's own files have four."""
 LARGEST = 2**20
 """Bytes of a file at most."""
+LONGEST_NUMBER = 100
+"""Characters of a whole number at most. One of 64 bits has twenty; of thousands, Python refuses to print it."""
 _MERGE = re.compile(r"^(<{7}|={7}|>{7}|\|{7})( .*)?$", re.MULTILINE)
 """What git writes between the two sides of a merge that it could not finish."""
+_WHOLE = "tag:yaml.org,2002:int"
 
 
 class _Problem(yaml.MarkedYAMLError):
@@ -41,6 +44,14 @@ class _Loader(yaml.SafeLoader):
             return super().compose_node(parent, index)  # type: ignore[arg-type]  # of a block, the key's node
         finally:
             self._within.pop()
+
+    def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
+        """A value, once it is known to be no number that goes on and on."""
+        node = super().compose_scalar_node(anchor)
+        if node.tag == _WHOLE and len(node.value) > LONGEST_NUMBER:
+            raise _Problem(problem=f"{self._named() or 'the file'} holds a whole number of {len(node.value):,} "
+                           f"characters; it may have {LONGEST_NUMBER}", problem_mark=node.start_mark)  # fmt: skip
+        return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """A block, once its keys are known to be different."""

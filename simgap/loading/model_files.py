@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -22,6 +23,8 @@ SUFFIXES = (".xml", ".mjcf", ".urdf")
 """What the name of a model file may end in, in upper or lower case."""
 PerJoint = float | Mapping[str, float] | None
 """A value for all joints, or for some by name."""
+STRONGEST = 1e9
+"""Most of a servo's stiffness, damping and force, in SI units: beyond any machine, and sums of them stay finite."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,23 @@ class ModelFile:
     """A robot's MJCF or URDF as the simulator, with the position servos of joints that have no actuator in it.
 
     kp: stiffness [N m/rad, N/m]. kv: damping by the servo [N m s/rad, N s/m]. force_limit: the most it can do [N m, N].
-    Each is of all these joints, or of some by name.
+    Each is of all these joints, or of some by name. ConfigError names one that no servo can have.
     """
 
     path: str | Path
     kp: PerJoint = None
     kv: PerJoint = None
     force_limit: PerJoint = None
+
+    def __post_init__(self) -> None:
+        for option in ("kp", "kv", "force_limit"):
+            given = getattr(self, option)
+            for joint, value in given.items() if isinstance(given, Mapping) else (("", given),):
+                if value is not None and not _is_possible(option, value):
+                    raise ConfigError(
+                        f"{self.path}: {option}{joint and f' of {joint}'} is {value!r:.40}; it must be a number "
+                        f"{'from' if option == 'kv' else 'above'} 0 to {STRONGEST:.0e}. Correct it, or leave it out."
+                    )
 
     def __str__(self) -> str:
         return str(self.path)
@@ -83,6 +96,11 @@ class ModelFile:
     def remembered(self, seen: Seen) -> dict[str, Any]:
         """What `diagnosis.json` keeps of it, as `recalled` reads it."""
         return {**asdict(self), "path": str(Path(self.path).resolve()), **seen._asdict(), "servo_share": 1.0}
+
+
+def _is_possible(option: str, value: Any) -> bool:
+    """Whether a servo can have it: one without damping is one, one without stiffness or force is none."""
+    return issubclass(type(value), Real) and (value > 0 or (value == 0 and option == "kv")) and value <= STRONGEST
 
 
 def recalled(kept: Mapping[str, Any]) -> Engine:

@@ -18,7 +18,7 @@ from nbclient import NotebookClient
 from examples.car import CAR, Car
 from examples.drive import DRIVE, Drive
 from examples.knockouts import WITHOUT_INDUCED_VELOCITY, late
-from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive_session, record
+from examples.record import MACHINES, CarConfig, DriveConfig, car_session, drive_session, main, record
 from simgap.formats.recordings import read_recordings, write_recording
 from simgap.loading.checks import check
 from simgap.loading.load import load
@@ -189,6 +189,27 @@ def test_the_command_line(tmp_path: Path) -> None:
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert said == f"{tmp_path}: 1 x 2 s of the car\n"
     assert [p.name for p in tmp_path.iterdir()] == ["car_01.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("option", "values", "words"),
+    [
+        ("--sessions", ("-1", "0", "1e3", "many", "1001"), "must be a whole number from 1 to 1,000"),
+        ("--seconds", ("nan", "inf", "-1", "0", "1e9"), "must be a number from 0.1 to 3,600"),
+        ("--seed", ("-1", "0.5", str(2**31)), "must be a whole number from 0 to 2,147,483,647"),
+    ],
+)
+def test_a_number_that_cannot_be_is_refused(
+    option: str, values: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    for value in values:
+        monkeypatch.setattr(sys, "argv", ["record", "drive", str(tmp_path), f"{option}={value}"])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 2
+        assert capsys.readouterr().err.endswith(f"error: argument {option}: {words}; it is '{value}'\n")
+    assert not list(tmp_path.iterdir())
 
 
 # The page

@@ -179,6 +179,9 @@ def test_a_file_that_cannot_be_used_is_left_out(tmp_path: Path, asked: list[Any]
     [
         ({"simulator": object()}, ConfigError, "object: a simulator must have schema"),
         ({"simulator": "nosuch:X"}, ConfigError, "there is no module nosuch"),
+        ({"seed": -1}, ConfigError, "seed is -1; it must be a whole number from 0 to 2,147,483,647"),
+        ({"seed": 2**31}, ConfigError, "seed is 2147483648; it must be"),
+        ({"seed": 0.5}, ConfigError, "seed is 0.5; it must be"),
         ({"recordings": 3}, ConfigError, "recordings must be a folder, tables .*; they are int"),
         ({"recordings": []}, RecordingError, "recordings: no session is given"),
         ({"recordings": [3]}, RecordingError, "session session_1: must be a table .*; it is int"),

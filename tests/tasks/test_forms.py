@@ -83,11 +83,36 @@ def test_the_defaults_are_those_of_params_and_fill_the_form() -> None:
         (["bnn.learning_rat=0.1"], "bnn.learning_rat: Extra inputs"),
         (["gp.learning_rate=0.1"], "gp: Extra inputs"),
         (["bnn.particles=few"], "bnn.particles.0: .*integer"),
+        (["bnn.particles=" + ",".join(["5"] * 1001)], "bnn.particles: List should have at most 1000 items"),
     ],
 )
 def test_wrong_hyperparameters_are_named(texts: list[str], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         forms.read_values(texts)
+
+
+def test_true_is_no_number() -> None:
+    """As in params.yaml."""
+    for values in ({"training_sessions": True}, {"session_s": True}):
+        with pytest.raises(ConfigError, match=": Input should be a number; it is True"):
+            check(forms.Recordings, {"source": "virtual", **values})
+    asked = forms.policies(load_params(PARAMS))
+    for values in ({"environment_steps": True}, {"learning_rate": True}, {"seeds": [True]}):
+        with pytest.raises(ConfigError, match=": Input should be a number; it is True"):
+            check(forms.Policies, {**asked, **values})
+
+
+def test_a_grid_of_too_many_cells_is_refused_before_any_work() -> None:
+    """Whether values to try make it so large, or these together with sizes and seeds."""
+    values = forms.read_values([f"bnn.{key}={','.join(['0.5'] * 50)}" for key in ("learning_rate", "weight_decay")]
+                               + [f"sim_model.learning_rate={','.join(['0.5'] * 50)}"])  # fmt: skip
+    with pytest.raises(ConfigError, match="the grid has 125,000 cells; it may have 10,000"):
+        forms.variants(values)
+    two = forms.read_values(["sim_model.learning_rate=0.1,0.2"])
+    only: dict[str, Any] = {"models": ["sim_model"], "noises": ["gaussian"], "sample_sizes": [*range(20, 28)]}
+    grid = {"train": {**only, "seeds": [*range(1000)]}}
+    with pytest.raises(ConfigError, match="the grid has 16,000 cells; it may have 10,000"):
+        sweep.cells(Path("r"), "virtual", two, lambda more: load_params(PARAMS, grid, more))
 
 
 def test_every_combination_is_a_cell_and_none_is_there_twice() -> None:

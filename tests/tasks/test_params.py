@@ -59,6 +59,17 @@ def test_the_small_size_changes_only_sizes() -> None:
         ({"policy": {"environment": {"reward": {"arm_value": 2}}}}, ["policy.environment.reward.arm_value: "]),
         ({"policy": {"environment": {"goal_height": [1.0, 0.2]}}}, ["policy.environment: ", "goal_height"]),
         ({"policy": {"environment": {"reward": {"arm": 2}}}}, ["unknown key arm; known are state_bound, "]),
+        ({"train": {"workers": True}}, ["train.workers: Input should be a number; it is True"]),
+        ({"train": {"seeds": [0, True]}}, ["train.seeds.1: Input should be a number; it is True"]),
+        ({"train": {"seeds": [0] * 200_000}}, ["train.seeds: List should have at most 1000 items"]),
+        (
+            {"train": {"seeds": [*range(1000)], "sample_sizes": [*range(20, 120)]}},
+            ["  train: the grid has ", "00,000 cells; it may have 10,000. Give fewer values to try."],
+        ),
+        (
+            {"policy": {"seeds": [*range(1000)], "sample_sizes": [*range(20, 120)]}},
+            ["  policy: the grid has 300,000 cells; it may have 10,000."],
+        ),
         ({"recordings": {"mine": {"folder": "x", "training": []}}}, ["recordings.mine", "test", "training"]),
     ],
 )
@@ -90,7 +101,20 @@ def with_another(values: Any, path: tuple[str | int, ...], value: Any) -> Any:
     return changed
 
 
-ABSURD = (math.inf, -math.inf, math.nan, 1e18, -1e18, "1e18", "many", None, {"a": 1}, [[[[1]]]], {"a": {"a": {"a": 1}}})
+ABSURD = (
+    math.inf,
+    -math.inf,
+    math.nan,
+    1e18,
+    -1e18,
+    "1e18",
+    "many",
+    None,
+    True,
+    {"a": 1},
+    [[[[1]]]],
+    {"a": {"a": {"a": 1}}},
+)
 LOAD = {"params.yaml": load_params, "pipelines/sealed/params.yaml": load_sealed}
 
 
@@ -148,7 +172,7 @@ def test_the_form_admits_what_the_file_admits(block: str, data: st.DataObject) -
     """Every hyperparameter, whatever number comes."""
     own = yaml.safe_load((ROOT / "params.yaml").read_text())["train"][block]
     key = data.draw(st.sampled_from(sorted(set(own) - {"hidden_layer_sizes"})))
-    value = data.draw(st.integers() | st.floats() | st.floats(-1, 200) | st.integers(-1, 200))
+    value = data.draw(st.booleans() | st.integers() | st.floats() | st.floats(-1, 200) | st.integers(-1, 200))
 
     def admitted(check: Callable[[], object]) -> bool:
         try:

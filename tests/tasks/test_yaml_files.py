@@ -33,6 +33,8 @@ def refused(path: Path, text: str | bytes) -> str:
         ("a: " + "[" * 50 + "]" * 50, "line 1: a is nested deeper than 20 levels"),
         ("a: " + "{b: " * 5000, "line 1: a.b.b"),
         ("a: [1\nb: 2\n", "line 2: expected ',' or ']'"),
+        ("a: 1\nb: [0x" + "f" * 5000 + "]\n", "line 2: b holds a whole number of 5,002 characters; it may have 100"),
+        ("1" * 5000 + ": 1\n", "line 1: the file holds a whole number of 5,000 characters"),
         ("a: !!python/object:os.system x\n", "line 1: could not determine a constructor"),
         ("a: !!timestamp x\n", "is no YAML"),
         (b"\x00\x01\x02", "is no YAML"),

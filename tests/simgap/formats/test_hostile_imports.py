@@ -274,6 +274,18 @@ def test_quotes_that_go_on_over_lines_are_one_row_that_ends(tmp_path: Path) -> N
         read_table(path, ["a", "b"])
 
 
+def test_a_damaged_parquet_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "walk.parquet"
+    pq.write_table(pa.table({"a": [1.0, 2.0]}), path)
+    content = bytearray(path.read_bytes())
+    content[4] ^= 1  # the first page's header, of which Arrow says that in two lines
+    path.write_bytes(content)
+    with pytest.raises(RecordingError) as error:
+        read_table(path, ["a"])
+    assert "\n" not in str(error.value)
+    assert "is no whole Parquet file (Couldn't deserialize thrift" in str(error.value)
+
+
 def test_a_table_of_too_many_rows_is_refused(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text("a\n" + "1\n" * (MOST_ROWS + 1))
     pq.write_table(pa.table({"a": np.zeros(MOST_ROWS + 1)}), tmp_path / "walk.parquet")
@@ -332,7 +344,9 @@ def changed(change: Callable[[dict[str, Any]], Any]) -> str:
         ("x: " + DEEP, "nested deeper than 20 levels"),
         ("x: " + "{a: " * 5000, "nested deeper than 20 levels"),
         ("x: " + "1" * 2_000_000, "more than 1,048,576 bytes"),
-        ("rate_hz: " + "1" * 10_000, "is no YAML"),
+        ("rate_hz: " + "1" * 10_000, "line 1: rate_hz holds a whole number of 10,000 characters; it may have 100"),
+        ("rate_hz: 0x" + "f" * 5000, "line 1: rate_hz holds a whole number of 5,002 characters"),
+        ("columns:\n  0x" + "f" * 5000 + ": 1", "line 2: columns holds a whole number of 5,002 characters"),
         ("rate_hz: [", "line 1: expected the node content"),
         ("\0", "is no YAML"),
         ("!!python/object/apply:os.system [ls]", "line 1: could not determine a constructor"),
@@ -342,6 +356,20 @@ def changed(change: Callable[[dict[str, Any]], Any]) -> str:
         ('"\\ud800": 1', "values are wrong"),
         (changed(lambda m: m.update(rate_hz="fast")), "rate_hz: Input should be a valid number"),
         (changed(lambda m: m.update(rate_hz=float("nan"))), "rate_hz"),
+        (changed(lambda m: m.update(rate_hz=True)), "rate_hz: Input should be a number; it is True"),
+        (changed(lambda m: m.update(time={"column": "stamp_ms", "unit": "h"})), ": time.unit: 'h' cannot be converted"),
+        *(
+            (
+                changed(lambda m, ends=ends: m["columns"]["ee_x"].update(unit="percent", range=ends)),
+                f"columns.ee_x{words}",
+            )
+            for ends, words in (
+                ([0.0, float("inf")], ".range.1: Input should be a finite number"),
+                ([float("nan"), 1.0], ".range.0: Input should be a finite number"),
+                ([1.0, 1.0], ": `range` must be two different numbers"),
+                ([-1e308, 1e308], ": `range` must be two different numbers"),
+            )
+        ),
         (changed(lambda m: m.update(rate_hz=1e9)), "rate_hz: Input should be less than or equal to 10000"),
         (changed(lambda m: m.update(longest_gap_s=float("inf"))), "longest_gap_s: Input should be a finite number"),
         (changed(lambda m: m.update(columns=[1])), "columns: Input should be a valid dictionary"),

@@ -155,14 +155,61 @@ def test_a_damaged_file_loses_no_other(tmp_path: Path, capsys: pytest.CaptureFix
     assert [r.name for r in recordings] == ["set/episode_000001"]
 
 
+def hostile(column: str, values: Any) -> Callable[[pa.Table], pa.Table]:
+    """A file whose column holds other values."""
+    return lambda table: table.set_column(table.column_names.index(column), column, pa.array(values))
+
+
+ABSURD_FPS = [0, -30, float("nan"), float("inf"), 1e-310, 1e9, 10**400, "fast", None, [30]]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (hostile("episode_index", ["0"] * 100), "episode_index holds values of type string; all must be whole numbers"),
+        (hostile("episode_index", [float("nan")] * 100), "episode_index holds values of type double;"),
+        (hostile("episode_index", [1e30] * 100), "episode_index holds values of type double;"),
+        (hostile("episode_index", [None] * 100), "episode_index holds values of type null and 100 blanks;"),
+        (hostile("episode_index", [0] * 99 + [None]), "episode_index holds values of type int64 and 1 blanks;"),
+        (hostile("episode_index", [{"a": 1}] * 100), "episode_index holds values of type struct<a: int64>;"),
+        (hostile("episode_index", [[0]] * 100), "episode_index holds values of type list<"),
+        (hostile("action", [{"a": 1}] * 100), "float() argument must be"),
+        (hostile("action", ["left"] * 100), "could not convert string to float"),
+    ],
+)
+def test_a_file_made_to_harm_loses_no_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[pa.Table], pa.Table], words: str
+) -> None:
+    version_2(tmp_path / "set")
+    harmful = tmp_path / "set" / "data" / "chunk-000" / "episode_000000.parquet"
+    pq.write_table(change(pq.read_table(harmful)), harmful)
+    import_recordings(tmp_path / "set", mapping(tmp_path), tmp_path / "out", "spot")
+    (left_out,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("left out: ")]
+    assert left_out.startswith(f"left out: {harmful}: is no file of a LeRobot data set ({words}")
+    recordings, _ = read_recordings(tmp_path / "out", SCHEMA, 1 / RATE)
+    assert [r.name for r in recordings] == ["set/episode_000001"]
+
+
 @pytest.mark.parametrize(
     ("info", "words"),
     [
         ({"codebase_version": "v1.6", "fps": 30, "features": {}}, "of version v1.6; 2 and 3 are read"),
         ({"codebase_version": "v3.0"}, "describes no LeRobot data set"),
         ([], "describes no LeRobot data set"),
+        *(
+            ({"codebase_version": "v3.0", "fps": fps, "features": features()}, "must be a number from 0.001 to 10,000)")
+            for fps in ABSURD_FPS
+        ),
+        *(
+            (
+                {"codebase_version": "v3.0", "fps": RATE,
+                 "features": {**features(), "action": {"dtype": "float32", "shape": [size], "names": None}}},
+                "the shape of 'action' is [",
+            )
+            for size in (10**12, 10_001, 0, -6, 6.0, "6", None, True, [6])
+        ),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_such_data_set_is_explained(
     tmp_path: Path, info: Any, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

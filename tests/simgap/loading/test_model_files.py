@@ -140,6 +140,10 @@ def test_columns_that_match_nothing_are_named_on_both_sides(logs: Path, tmp_path
         (["nowhere.xml"], "nowhere.xml: there is no such file. Give the path of the robot's MJCF or URDF."),
         (["spot", "--kp", "3"], "--kp, --kv and --force-limit are for a model file"),
         (["robot.xml", "--kp", "a=b"], "must be a number, or joint=number,joint=number; it is 'a=b'"),
+        (["robot.xml", "--kp", "a=1,a=2"], "argument --kp: must have every joint once; it is 'a=1,a=2'"),
+        (["robot.xml", "--kp=-5"], "robot.xml: kp is -5.0; it must be a number above 0 to 1e+09. Correct it"),
+        (["robot.xml", "--kv", "a=nan"], "robot.xml: kv of a is nan; it must be a number from 0 to 1e+09."),
+        (["spot", "--seed", "-1"], "seed is -1; it must be a whole number from 0 to 2,147,483,647."),
     ],
 )
 def test_a_wrong_argument_is_told_before_jax_is_loaded(logs: Path, given: list[str], words: str) -> None:
@@ -149,6 +153,18 @@ def test_a_wrong_argument_is_told_before_jax_is_loaded(logs: Path, given: list[s
     assert done.returncode in (1, 2)
     assert words in " ".join((done.stdout + done.stderr).split())
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("option", ["kp", "kv", "force_limit"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -5, 1e300, "stiff", [3.0], 0])
+def test_a_servo_that_cannot_be_is_refused(option: str, value: Any) -> None:
+    """Of all joints and of one; without damping a servo may be, without stiffness or force not."""
+    for given, words in ((value, option), ({"pan": 1.0, "elbow": value}, f"{option} of elbow")):
+        if (option, value) == ("kv", 0):
+            ModelFile(MODEL, **{option: given})
+            continue
+        with pytest.raises(ConfigError, match=re.escape(f"{MODEL}: {words} is {value!r}; it must be a number")):
+            ModelFile(MODEL, **{option: given})
 
 
 def test_without_mujoco_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
