@@ -30,9 +30,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
     one: dict[str, Any] = {"models": ["sim_model"], "sample_sizes": [40]}
-    # So short that a diagnosis finds nothing to search: what it says has tests of its own.
-    recordings = {"virtual": {**TINY["recordings"]["virtual"], "session_s": 1.6}}
-    tiny = {**TINY, "recordings": recordings, "train": {**TINY["train"], **one}, "policy": {**TINY["policy"], **one}}
+    tiny = {**TINY, "train": {**TINY["train"], **one}, "policy": {**TINY["policy"], **one}}
     params = load_params(ROOT / "params.yaml", tiny).model_dump(mode="json")
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
