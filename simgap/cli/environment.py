@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 EMITTERS = "0.10."
-"""Versions of jaxlib with new emitters of fused code: without them the programs of a diagnosis take half as long to
-compile, and no longer to run (benchmarks/README.md). XLA ends a process that sets a flag it does not know, so other
-versions keep what they come with."""
+"""Versions of jaxlib with new emitters of fused code: without them the programs of a diagnosis take about half as long
+to compile, and about as long to run (benchmarks/README.md). XLA ends a process that sets a flag it does not know, so
+other versions keep what they come with."""
 
 
 def numerics() -> dict[str, str]:
