@@ -83,8 +83,7 @@ def check_files(*paths: Path) -> None:
 
 
 def check_source(source: str, *files: Path) -> None:
-    """ConfigError where none of the files has a block of that name in `recordings`; what else is wrong with them,
-    their reader says."""
+    """ConfigError where no file has a block of that name in `recordings`. `load_params` reports all other mistakes."""
     from simgap.formats.yaml_files import read_yaml
 
     blocks = [values.get("recordings") for values in map(read_yaml, files) if isinstance(values, dict)]

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from simgap.layout import Layout, X, Y
 from simgap.survey import GAP, leading
@@ -53,31 +53,39 @@ def derived(schema: Schema, recordings: Sequence[Recording]) -> list[Derived]:
     """
     found, layout = [], Layout(schema)
     pieces = [piece for r in leading(recordings, MOST_ROWS) for piece in _pieces(r)]
-    for v, positions, heading, ahead in _motions(layout):
-        kind = _kind([_Pair.of(piece, layout, v, positions, heading, ahead) for piece in pieces])
+    for motion in _motions(layout):
+        kind = _kind([_Pair.of(piece, layout.angles, motion) for piece in pieces])
         if kind:
-            name = " and ".join(schema.state[p].name for p in positions)
-            found.append(Derived(schema.state[v].name, name, kind))
+            positions = " and ".join(schema.state[p].name for p in motion.positions)
+            found.append(Derived(schema.state[motion.velocity].name, positions, kind))
     return found
 
 
-def _motions(layout: Layout) -> Iterator[tuple[int, list[int], int | None, bool]]:
-    """Velocities, the positions whose change each is, and of one along a body's own axis the heading and whether that
-    axis is the one ahead."""
+class _Motion(NamedTuple):
+    """Columns of a velocity and of the positions that it changes: its own, or the world's x and y for a velocity along
+    a body's own axis (`X` or `Y`), which the heading turns."""
+
+    velocity: int
+    positions: list[int]
+    heading: int | None = None
+    axis: int = X
+
+
+def _motions(layout: Layout) -> Iterator[_Motion]:
     for p, v in enumerate(layout.integrates):
         if v >= 0:
-            yield int(v), [p], None, False
+            yield _Motion(int(v), [p])
     for b, heading in enumerate(layout.heading):
         x_and_y = [int(p) for p in layout.position[b, [X, Y]]]
         if heading is None or min(x_and_y) < 0 or not layout.in_world("position", b) or layout.in_world("velocity", b):
             continue
         for axis in (X, Y):
             if layout.velocity[b, axis] >= 0:
-                yield int(layout.velocity[b, axis]), x_and_y, heading, axis == X
+                yield _Motion(int(layout.velocity[b, axis]), x_and_y, heading, axis)
 
 
 def _pieces(recording: Recording) -> list[Recording]:
-    """A session cut where it pauses: over a gap, every difference is about the same."""
+    """A session cut at its gaps: across one, all differences are about the same."""
     interval = np.diff(recording.time_s)
     cuts = np.flatnonzero(interval > GAP * np.median(interval)) + 1 if len(interval) else []
     parts = (np.split(a, cuts) for a in (recording.time_s, recording.state, recording.command))
@@ -109,24 +117,18 @@ class _Pair(NamedTuple):
     toward: Float[np.ndarray, "T k"]
 
     @classmethod
-    def of(
-        cls, piece: Recording, layout: Layout, velocity: int, positions: list[int], heading: int | None, ahead: bool
-    ) -> "_Pair":
-        change = np.diff(piece.state[:, positions], axis=0)
-        angle = layout.angles[positions]
-        change = np.where(angle, (change + np.pi) % (2 * np.pi) - np.pi, change)
+    def of(cls, piece: Recording, angles: Bool[np.ndarray, " s"], motion: _Motion) -> "_Pair":
+        change = np.diff(piece.state[:, motion.positions], axis=0)
+        change = np.where(angles[motion.positions], (change + np.pi) % (2 * np.pi) - np.pi, change)
         toward = np.ones((len(piece.time_s), 1))
-        if heading is not None:
-            c, s = np.cos(piece.state[:, heading]), np.sin(piece.state[:, heading])
-            toward = np.column_stack([c, s] if ahead else [-s, c])
-        return cls(piece.state[:, velocity], change, np.diff(piece.time_s), toward)
+        if motion.heading is not None:
+            c, s = np.cos(piece.state[:, motion.heading]), np.sin(piece.state[:, motion.heading])
+            toward = np.column_stack([c, s] if motion.axis == X else [-s, c])
+        return cls(piece.state[:, motion.velocity], change, np.diff(piece.time_s), toward)
 
     def rate(self, by_stamps: bool) -> Float[np.ndarray, "T-1 k"]:
         """Of change of the positions, by the rows' own time stamps or by their median interval."""
-        return (
-            self.change
-            / (self.interval if by_stamps else np.full_like(self.interval, np.median(self.interval)))[:, None]
-        )
+        return self.change / (self.interval[:, None] if by_stamps else np.median(self.interval))
 
 
 def _kind(pairs: Sequence[_Pair]) -> str:

@@ -10,8 +10,8 @@ from jaxtyping import Int, UInt64
 from simgap.types import Recording
 
 RUN, FEWEST = 10, 5
-"""Rows in a row, all different from each other, by which two sessions are compared: sensors that flicker between a few
-values at rest do not repeat so many by chance. Sessions with fewer, but so many, are compared as a whole."""
+"""Sessions are compared by runs of `RUN` successive rows that all differ: sensors that flicker between a few values at
+rest do not repeat so many by chance. A session with `FEWEST` to `RUN` such rows is compared as a whole."""
 LEAST_SHARE = 0.05
 """Share of the shorter session from which on rows in common are reported."""
 

@@ -78,7 +78,7 @@ class Policies(_Form):
     sample_sizes: SampleSizes = Field(description="N, transitions that the models learn from.")
     seeds: Seeds = Field(description="Of models and policies.")
     environment_steps: Annotated[int, NUMBER] = Field(
-        description="At most so many for a policy.", **RANGES["environment_steps"]
+        description="Environment steps per policy, at most.", **RANGES["environment_steps"]
     )
     learning_rate: Annotated[float, NUMBER] = Field(
         description="Of soft actor-critic: actor, critics and temperature.", **RANGES["learning_rate_policy"]

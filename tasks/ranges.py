@@ -26,9 +26,9 @@ from tasks import names
 
 MOST_SESSIONS, LONGEST_SESSION_S = 1000, 3600
 MOST_VALUES = 1000
-"""Of a list of seeds, sizes, strengths or values to try; what is repeated more often is a slip."""
+"""Entries at most of a list of seeds, sizes, strengths or values to try."""
 MOST_CELLS = 10_000
-"""Of a grid, each of which is trained and has a run in MLflow: at a minute a cell, a week."""
+"""Cells at most of a grid. Each is trained and has a run in MLflow: at a minute a cell, this is a week."""
 
 Name = Annotated[
     str,
@@ -161,7 +161,7 @@ MOST_ENTRIES = 100
 
 
 def check_cells(*counts: int) -> None:
-    """ConfigError where a grid with so many values along each of its sides has more than `MOST_CELLS` cells."""
+    """ConfigError where a grid has more than `MOST_CELLS` cells; counts: the values along each of its axes."""
     if (cells := math.prod(counts)) > MOST_CELLS:
         raise ConfigError(f"the grid has {cells:,} cells; it may have {MOST_CELLS:,}. Give fewer values to try.")
 

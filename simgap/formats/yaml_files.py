@@ -46,7 +46,7 @@ class _Loader(yaml.SafeLoader):
             self._within.pop()
 
     def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
-        """A value, once it is known to be no number that goes on and on."""
+        """A value; a whole number that is too long is an error."""
         node = super().compose_scalar_node(anchor)
         if node.tag == _WHOLE and len(node.value) > LONGEST_NUMBER:
             raise _Problem(problem=f"{self._named() or 'the file'} holds a whole number of {len(node.value):,} "

@@ -102,22 +102,23 @@ def imported_by(folder: Path, command: list[str], status: int, words: str) -> se
 
 
 NO_SOURCE = "params.yaml has no block recordings.nosource; there are virtual, spot. Add one"
-ONLY_NAMES, ALL_BUT_FLOWS = HEAVY, {"prefect", "mlflow"}
+FLOW = {"prefect", "mlflow"}
+"""What a flow imports."""
 
 
 @pytest.mark.parametrize(
     ("arguments", "words", "unneeded"),
     [
-        (["train", "nosource"], NO_SOURCE, ONLY_NAMES),
-        (["reproduce", "nosource", "--workspace", "w"], NO_SOURCE, ONLY_NAMES),
-        (["sweep", "nosource"], NO_SOURCE, ONLY_NAMES),
-        (["sweep", "--models", "gp"], "models.0: Input should be 'sim_model'", ALL_BUT_FLOWS),
+        (["train", "nosource"], NO_SOURCE, HEAVY),
+        (["reproduce", "nosource", "--workspace", "w"], NO_SOURCE, HEAVY),
+        (["sweep", "nosource"], NO_SOURCE, HEAVY),
+        (["sweep", "--models", "gp"], "models.0: Input should be 'sim_model'", FLOW),
         (
             ["sweep", "--sample-sizes", "3"],
             "sample_sizes.0: Input should be greater than or equal to 20",
-            ALL_BUT_FLOWS,
+            FLOW,
         ),
-        (["sweep", "--seeds", "-1"], "seeds.0: Input should be greater than or equal to 0", ALL_BUT_FLOWS),
+        (["sweep", "--seeds", "-1"], "seeds.0: Input should be greater than or equal to 0", FLOW),
     ],
 )
 def test_a_wrong_choice_in_a_project_is_reported_before_its_flow_is_imported(
