@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
-from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.explain import split
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.score_test import vary
@@ -41,7 +41,7 @@ def main() -> None:
     training, heldout = split(recordings)
     compiling, _ = _timed(training, heldout)
     seconds, found = _timed(training, heldout)
-    one, hypotheses = _one_fit(training)
+    one, count = _one_fit(training)
     rounds = len(found.statement["rounds"])
     results = {
         "transitions": sum(len(r.time_s) - 1 for r in recordings),
@@ -49,8 +49,8 @@ def main() -> None:
         "seconds_with_compilation": compiling,
         "rounds": rounds,
         "effects": [effect["id"] for effect in found.statement["effects"]],
-        "baseline_seconds": one * hypotheses * rounds,
-        "ratio": seconds / (one * hypotheses * rounds),
+        "baseline_seconds": one * count * rounds,
+        "ratio": seconds / (one * count * rounds),
         "peak_memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
     OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
@@ -72,10 +72,10 @@ def _one_fit(training: list[Recording]) -> tuple[float, int]:
     begun = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(begun.e))
     fit, _ = optimise(problem, evaluate(problem, begun.v, ()))
-    every = candidates(augmented, scales)
+    every = hypotheses_of(augmented, scales)
     start_s = time.perf_counter()
-    for candidate in every[:3]:
-        optimise(problem, evaluate(problem, vary(fit.v, candidate, candidate.starts[0]), candidate.groups))
+    for hypothesis in every[:3]:
+        optimise(problem, evaluate(problem, vary(fit.v, hypothesis, hypothesis.starts[0]), hypothesis.groups))
     return (time.perf_counter() - start_s) / 3, len(every)
 
 

@@ -61,7 +61,7 @@ def find(
     share: Share,
     time_step: float,
     code: str,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
     clock: Callable[[], float],
 ) -> None:
     """Diagnose the kinematic model with a share of the training sessions, unless that was done before.
@@ -75,18 +75,18 @@ def find(
     mark = of_diagnosis(share, digest([*used.training, *used.heldout]), time_step, code)
     arrays, record = workspace.augmented(share), workspace.effects(share)
     if finished(arrays, record, mark):
-        say("diagnosed before")
+        report("diagnosed before")
         return
     # Should this fail, what was found by other code must not pass for its result.
     remove_file(record, workspace.root)
     start, spot = clock(), Spot(time_step=time_step)
-    found = explain(spot, used, np.random.default_rng(share.seed), say)
+    found = explain(spot, used, np.random.default_rng(share.seed), report)
     simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
     save_arrays(arrays, augmented_arrays(simulator))
     write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),
-                              "found": [m.candidate.name for m in found.members if found.names(m)],
-                              "scattered": [s.id for s in found.scattered]})  # fmt: skip
+                              "found": [m.hypothesis.name for m in found.members if found.names(m)],
+                              "scattered": [s.id for s in found.noise_effects]})  # fmt: skip
 
 
 def seen(workspace: Workspace, share: Share, time_step: float) -> list[Recording]:

@@ -52,5 +52,5 @@ def row_of(case: ExternalCase, statement: Mapping[str, Any]) -> dict[str, Any]:
     """What was said of a machine, how right that was, and what forecasts over 50 rows miss."""
     errors = {model: scores["error_50"]["value"] for model, scores in statement["fit"]["models"].items()
               if "error_50" in scores}  # fmt: skip
-    shown = {f"error_50_{model}": errors.get(model) for model in ("as_is", "refitted", "augmented", "black_box")}
+    shown = {f"error_50_{model}": errors.get(model) for model in ("nominal", "refitted", "augmented", "black_box")}
     return verdicts.judged(case.causes, statement) | shown

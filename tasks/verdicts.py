@@ -60,7 +60,7 @@ def judged(causes: Sequence[Collection[str]], statement: Mapping[str, Any]) -> d
         "outcome": _outcome(causes, statement, found, other),
         "verdict": statement["verdict"],
         "named": "; ".join(f"{name} {p:.2f}" for name, p in named.items()),
-        "resembles": "; ".join(e["id"] for e in statement["resembles"]),
+        "closest_matches": "; ".join(e["id"] for e in statement["closest_matches"]),
         "sure": max(other.values(), default=0.0),
     }
 

@@ -8,17 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap import compiled
-from simgap.diagnosis.hypotheses.space import candidates
-from simgap.diagnosis.hypotheses.support import opened
+from simgap.diagnosis.hypotheses.space import hypotheses_of
+from simgap.diagnosis.hypotheses.support import for_heldout, opened
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.heldout import seen_at
-from simgap.diagnosis.inference.model import Say
+from simgap.diagnosis.inference.model import Reporter
 from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.report import experiment
-from simgap.diagnosis.report import statement as report
+from simgap.diagnosis.report import statement as written
 from simgap.diagnosis.validation import black_box, replay, scores
 from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.forecast import Contestant
@@ -60,7 +59,7 @@ def _quiet(_: str) -> None:
 
 
 def diagnose(
-    simulator: StepModel | Engine, name: str, sessions: Sessions, seed: int = 0, say: Say = _quiet
+    simulator: StepModel | Engine, name: str, sessions: Sessions, seed: int = 0, report: Reporter = _quiet
 ) -> Diagnosis:
     """Diagnose the simulator called `name` against recordings; `say(line)` gets what is being tried.
 
@@ -71,20 +70,20 @@ def diagnose(
     """
     compiled.forget_if_many()
     rng = np.random.default_rng(seed)
-    found, sessions = explained(simulator, sessions, rng, say)
-    say("judging on held-out sessions")
+    found, sessions = explained(simulator, sessions, rng, report)
+    report("judging on held-out sessions")
     contestants = _contestants(found, rng)
     judged = _judged(found, contestants, sessions)
     problem = found.problem
-    seen = sensitivity(problem, found.rounds[0].screening, candidates(problem.augmented, problem.scales))
-    beyond = _beyond_ranges(found, simulator, sessions, rng, say)
-    outcome = report.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
-    say("looking for the experiment that would tell explanations apart")
+    seen = sensitivity(problem, found.rounds[0].screening, hypotheses_of(problem.augmented, problem.scales))
+    beyond = _beyond_ranges(found, simulator, sessions, rng, report)
+    outcome = written.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
+    report("looking for the experiment that would tell explanations apart")
     plan, none = _experiment(found, sessions.training)
-    statement = report.statement(name, found, sessions, outcome, plan, rng)
+    statement = written.statement(name, found, sessions, outcome, plan, rng)
     statement["notes"] += none
     statement["replay"] = _replayed(found, contestants, sessions.heldout)
-    evidence = report.evidence(found, sessions, outcome, plan)
+    evidence = written.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
     return Diagnosis(statement, evidence, _model(found), commands)
 
@@ -94,7 +93,7 @@ def _beyond_ranges(
     simulator: StepModel | Engine,
     sessions: Sessions,
     rng: np.random.Generator,
-    say: Say,
+    report: Reporter,
 ) -> Explanation | None:
     """What is found when parameters may leave their ranges; None where none is at the end of its range.
 
@@ -103,17 +102,19 @@ def _beyond_ranges(
     """
     if is_engine(simulator) or not found.anything or not at_bound(found.problem, found.base):
         return None
-    say(f"the same with ranges that do not hold, as {', '.join(at_bound(found.problem, found.base))} would leave them")
-    return explain(simulator, sessions, rng, say, ranges_hold=False)
+    report(
+        f"the same with ranges that do not hold, as {', '.join(at_bound(found.problem, found.base))} would leave them"
+    )
+    return explain(simulator, sessions, rng, report, ranges_hold=False)
 
 
 def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:
     problem = found.problem
     box = black_box.train(problem, found.base.v, rng)
     # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
-    as_is = found.as_is.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
+    nominal = found.nominal.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
     contestant = partial(Contestant, regimes=found.regimes)
-    models = {"as_is": contestant(as_is), "refitted": contestant(found.base.v)}
+    models = {"nominal": contestant(nominal), "refitted": contestant(found.base.v)}
     if found.members:
         models["augmented"] = contestant(found.fit.v)
     return {**models, "black_box": contestant(found.base.v, box)}
@@ -125,17 +126,16 @@ def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Se
     fitted, unseen = scores.pieces_of(sessions.training, step), scores.pieces_of(sessions.heldout, step)
     if fitted is None or unseen is None:
         return Judgement({}, {}, ())
-    # In which regime a forecast is, it says itself.
-    layout, supports = found.problem.augmented.layout, [when._replace(regime=None) for when in found.supports]
-    fitted, unseen = opened(layout, fitted, supports), seen_at(layout, unseen, supports)
+    layout, supports = found.problem.augmented.layout, found.known_supports
+    fitted, unseen = opened(layout, fitted, supports), for_heldout(layout, unseen, supports)
     judged = {name: scores.judge(found.problem, c, fitted, unseen) for name, c in contestants.items()}
-    lacking = (Contestant(m.without.v, regimes=found.regimes) for m in found.members)
+    refitted_without = (Contestant(m.without.v, regimes=found.regimes) for m in found.members)
     return Judgement(
         {name: held for name, (held, _) in judged.items()},
         {name: on for name, (_, on) in judged.items()},
         # Without its only effect the model is the refitted one.
         (judged["refitted"],) if len(found.members) == 1 else
-        tuple(scores.judge(found.problem, c, fitted, unseen) for c in lacking),
+        tuple(scores.judge(found.problem, c, fitted, unseen) for c in refitted_without),
     )  # fmt: skip
 
 
@@ -147,24 +147,24 @@ def _replayed(
     pieces = replay.pieces_of(heldout, simulator.time_step)
     if pieces is None or not is_engine(simulator):
         return None
-    pieces = seen_at(layout, pieces, [when._replace(regime=None) for when in found.supports])
+    pieces = for_heldout(layout, pieces, found.known_supports)
     own = {name: model for name, model in contestants.items() if name != "black_box"}
     return replay.replay(found.problem, own, pieces)
 
 
-def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[report.Plan | None, list[str]]:
+def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[written.Plan | None, list[str]]:
     """For the least certain effect, what would separate it from its rival; or a note why nothing does."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
     if not contested or not found.problem.augmented.layout.schema.command:
         return None, []
     if is_engine(found.problem.augmented.simulator):
         return None, ["No experiment is proposed: experiments are not designed for engines yet."]
-    member, rival = min(contested, key=lambda c: c[0].odds[c[0].candidate.effect.id])
-    about, ids = [member.candidate, rival.candidate], (member.candidate.effect.id, rival.candidate.effect.id)
+    member, rival = min(contested, key=lambda c: c[0].odds[c[0].hypothesis.effect.id])
+    about, ids = [member.hypothesis, rival.hypothesis], (member.hypothesis.effect.id, rival.hypothesis.effect.id)
     designed = experiment.design(found.problem, found.fit, rival.fit, about, found.regimes, list(training))
     if isinstance(designed, experiment.NoExperiment):
         return None, [f"No experiment is proposed to separate {' from '.join(ids)}: {designed.reason}."]
-    return report.Plan(designed, ids), []
+    return written.Plan(designed, ids), []
 
 
 def _model(found: Explanation) -> AugmentedModel:

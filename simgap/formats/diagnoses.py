@@ -13,8 +13,9 @@ from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Acting
 from simgap.engines import Engine
+from simgap.formats import statements
 from simgap.formats.arrays import load_arrays, save_arrays
-from simgap.formats.documents import read_json, write_json, write_table, write_text
+from simgap.formats.documents import write_json, write_table, write_text
 from simgap.formats.effects import pop_acting, pop_scales, scale_arrays
 from simgap.formats.folders import remove_file
 from simgap.simulators.augmented import AugmentedSimulator
@@ -53,7 +54,7 @@ def read_statement(folder: Path) -> dict[str, Any]:
     """What `diagnosis.json` holds; SimgapError where the folder has no diagnosis."""
     if not (folder / STATEMENT).is_file():
         raise SimgapError(f"{folder}: holds no {STATEMENT}. Give the folder that `simgap diagnose` wrote to.")
-    return read_json(folder / STATEMENT)
+    return statements.read(folder / STATEMENT)
 
 
 def read_simulator(path: Path, simulator: StepModel | Engine) -> AugmentedSimulator:

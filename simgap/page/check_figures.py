@@ -14,7 +14,7 @@ from simgap.page.svg import STYLE, svg
 from simgap.types import Field, Recording, Schema
 
 _WIDTH, _COLUMNS, _POINTS, _SESSIONS = 10.0, 3, 2000, 8
-_TWO = (COLOURS["augmented"], COLOURS["as_is"])
+_TWO = (COLOURS["augmented"], COLOURS["nominal"])
 
 
 def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:

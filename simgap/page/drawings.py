@@ -22,7 +22,7 @@ from simgap.page.svg import STYLE, svg
 Values = Mapping[str, Any]
 
 _EXCESS = LinearSegmentedColormap.from_list("excess", EXCESS, bad="#e3e5e9")
-_LINES = {"as_is": ("-", 1.3), "refitted": ("-", 1.3), "augmented": ("-", 1.6), "black_box": ((0, (3, 3)), 1.3)}
+_LINES = {"nominal": ("-", 1.3), "refitted": ("-", 1.3), "augmented": ("-", 1.6), "black_box": ((0, (3, 3)), 1.3)}
 _WIDTH = 10.0  # of the page [inch]
 _COLUMNS = 3
 _DOTS = 120  # measured points a panel shows

@@ -20,13 +20,13 @@ def summary(effect: Values) -> dict[str, Any]:
         "places": places[:_PLACES],
         "more": max(len(places) - _PLACES, 0),
         "probability": _probability(effect),
-        "when": ", ".join(_when(effect)),
+        "when": acts(effect),
     }
 
 
 def what(statement: Values, figures: Figures) -> dict[str, Any]:
     """A card per effect, most important first; closest matches, what is left over, and laws without a name."""
-    effects, left = statement.get("effects") or [], statement.get("left_over") or {}
+    effects, left = statement.get("effects") or [], statement.get("whiteness") or {}
     shares = [{"name": o["name"], "share": numbers.percent(o["share"])} for o in left.get("outputs") or []]
     return {
         "cards": [_card(e, figures) for e in wording.by_importance(effects)],
@@ -34,10 +34,12 @@ def what(statement: Values, figures: Figures) -> dict[str, Any]:
         "insufficient": (statement["verdict"] == "inconclusive" and statement.get("insufficient")) or [],
         "matches": [
             {"says": e.get("statement", ""), "gain": numbers.fixed(e.get("gain_nats"), 1)}
-            for e in wording.by_importance(statement.get("resembles") or [])
+            for e in wording.by_importance(statement.get("closest_matches") or [])
         ],
         "left": {"shares": shares, "nats": numbers.fixed(left.get("nats"), 0)} if shares else None,
-        "law": [dict(t) | {"gain": numbers.fixed(t["gain_nats"], 1)} for t in statement.get("law") or []],
+        "nonparametric": [
+            dict(t) | {"gain": numbers.fixed(t["gain_nats"], 1)} for t in statement.get("nonparametric") or []
+        ],
     }
 
 
@@ -84,8 +86,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         "channels": effect.get("channels") or [],
         "outputs": effect.get("outputs") or [],
         "gains": gains,
-        "begins": _begins(effect),
-        "regime": effect.get("regime"),
+        "acts": acts(effect),
         "credible": [wording.title(m) for m in effect.get("credible_set") or []],
         "laws": [
             {
@@ -105,15 +106,16 @@ def _shows(law: Values, effect: Values) -> bool:
     return law["effect"] == effect["id"] and all(law.get(key) == effect.get(key) for key in ("form", "where"))
 
 
-def _when(effect: Values) -> list[str]:
-    """From what time on and in which regime an effect acts; empty where it always does."""
-    begins, regime = _begins(effect), effect.get("regime")
-    return [f"from {begins} s on"] * bool(begins) + [f"where {regime}"] * bool(regime)
-
-
-def _begins(effect: Values) -> str:
-    """Seconds into the session at which an effect begins; empty where it acts throughout."""
-    return numbers.fixed(effect["from_s"], 1) if numbers.known(effect.get("from_s")) else ""
+def acts(effect: Values) -> str:
+    """Where and when an effect acts; empty where it always does."""
+    match effect.get("support"):
+        case {"kind": "regime", "regime": regime}:
+            return f"where {regime}"
+        case {"kind": "from", "from_s": from_s}:
+            return f"from {numbers.fixed(from_s, 1)} s on"
+        case {"kind": "window", "session": session, "from_s": from_s, "to_s": to_s}:
+            return f"from {numbers.fixed(from_s, 1)} to {numbers.fixed(to_s, 1)} s of {session}"
+    return ""
 
 
 def _probability(effect: Values) -> str:

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 INK, GREY, HELDOUT = "#1c2430", "#6b7280", "#1f5fa8"
-MODELS = {"as_is": "as is", "refitted": "refitted", "augmented": "with effects", "black_box": "black box"}
-COLOURS = {"as_is": "#9aa0a8", "refitted": "#d1722d", "augmented": "#1f5fa8", "black_box": "#2c9a5f"}
+MODELS = {"nominal": "as is", "refitted": "refitted", "augmented": "with effects", "black_box": "black box"}
+COLOURS = {"nominal": "#9aa0a8", "refitted": "#d1722d", "augmented": "#1f5fa8", "black_box": "#2c9a5f"}
 EXCESS = ("#f7f5f1", "#fbd9a5", "#ef8a43", "#bf3021", "#64101a")
 """Colours of an excess error, from none (or less) to the top of the scale, evenly spaced."""
 FONTS = "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, Arial, Liberation Sans, sans-serif"

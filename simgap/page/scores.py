@@ -81,7 +81,7 @@ def _cell(entry: Values | None, best: float, places: int | None) -> dict[str, An
 def parameters(statement: Values) -> dict[str, Any]:
     """Every refitted parameter before and after, its shift in half widths of its interval, and its range."""
     given = statement.get("parameters") or {}
-    after = {n: float(v) for n, v in (given.get("after") or {}).items() if numbers.known(v)}
+    after = {n: float(v) for n, v in (given.get("fitted") or {}).items() if numbers.known(v)}
     rows = [_parameter(name, value, given) for name, value in after.items()]
     split = math.ceil(len(rows) / 2) if len(rows) > _ONE_TABLE else len(rows)
     return {
@@ -96,7 +96,7 @@ def _parameter(name: str, after: float, given: Values) -> dict[str, Any]:
     def of(what: str) -> Any:
         return (given.get(what) or {}).get(name)
 
-    before, ends, limits = of("before"), numbers.interval(of("ci95")), numbers.interval(of("ranges"))
+    before, ends, limits = of("nominal"), numbers.interval(of("ci95")), numbers.interval(of("ranges"))
     before = float(before) if numbers.known(before) else None
     value, interval = numbers.with_interval(after, ends)
     shift = _shift(before, after, ends)

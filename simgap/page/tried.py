@@ -8,15 +8,15 @@ from simgap.page.wording import title
 
 Values = Mapping[str, Any]
 
-_CANDIDATES = 8  # of a round, shown at most
+_HYPOTHESES = 8  # of a round, shown at most
 
 
 def tried(statement: Values) -> dict[str, Any]:
-    """Rounds with their candidates by gain, the smallest sizes that would have been found, and notes."""
+    """Rounds with their hypotheses by gain, the smallest sizes that would have been found, and notes."""
     seen, rounds = statement.get("sensitivity") or {}, statement.get("rounds") or []
     return {
         "rounds": [_round(r, retested(rounds[:i], r)) for i, r in enumerate(rounds)],
-        "chance": numbers.percent(seen.get("chance")),
+        "power": numbers.percent(seen.get("power")),
         "sizes": _sizes(seen),
         "notes": statement.get("notes") or [],
     }
@@ -27,7 +27,7 @@ def retested(before: Sequence[Values], tried: Values) -> str:
 
     A search leaves out what is accepted already, so a round that tries it again is no search.
     """
-    again = [_full(c) for c in tried.get("candidates") or []]
+    again = [_full(c) for c in tried.get("hypotheses") or []]
     accepted = [r["accepted"] for r in before if r.get("accepted")]
     return next((name for name in accepted if name in again and not tried.get("accepted")), "")
 
@@ -36,16 +36,16 @@ def _round(tried: Values, own: str) -> dict[str, Any]:
     accepted, chance = tried.get("accepted"), wording.by_chance(tried)
     threshold = tried.get("threshold_nats")
     drawn = numbers.known(threshold) and not chance and not own
-    candidates = _best_of_each(tried)
-    top = 1.02 * max([threshold if drawn and threshold else 0.0, *(c["gain_nats"] or 0.0 for c in candidates)]) or 1.0
+    hypotheses = _best_of_each(tried)
+    top = 1.02 * max([threshold if drawn and threshold else 0.0, *(c["gain_nats"] or 0.0 for c in hypotheses)]) or 1.0
     return {
         "accepted": title(accepted) if accepted else "",
         "retested": title(own),
         "limits": _limits(tried, chance) if not own else "",
         "threshold": numbers.width(threshold / top) if drawn and threshold else "",
-        "rows": [_candidate(c, top, accepted or own) for c in candidates[:_CANDIDATES]],
-        "more": max(len(candidates) - _CANDIDATES, 0),
-        "most": _gain(candidates[_CANDIDATES]) if len(candidates) > _CANDIDATES else "",
+        "rows": [_hypothesis(c, top, accepted or own) for c in hypotheses[:_HYPOTHESES]],
+        "more": max(len(hypotheses) - _HYPOTHESES, 0),
+        "most": _gain(hypotheses[_HYPOTHESES]) if len(hypotheses) > _HYPOTHESES else "",
     }
 
 
@@ -58,28 +58,28 @@ def _limits(tried: Values, chance: bool) -> str:
 
 
 def _best_of_each(tried: Values) -> list[Values]:
-    """Every candidate where it gains most, by gain: some are tried from several starts."""
+    """Every hypothesis where it gains most, by gain: some are tried from several starts."""
     best: dict[str, Values] = {}
-    for candidate in sorted(tried.get("candidates") or [], key=lambda c: -(c["gain_nats"] or 0)):
-        best.setdefault(_full(candidate), candidate)
+    for hypothesis in sorted(tried.get("hypotheses") or [], key=lambda c: -(c["gain_nats"] or 0)):
+        best.setdefault(_full(hypothesis), hypothesis)
     return list(best.values())
 
 
-def _full(candidate: Values) -> str:
-    place = candidate.get("where")
-    return f"{candidate['effect']} on {place}" if place else str(candidate["effect"])
+def _full(hypothesis: Values) -> str:
+    place = hypothesis.get("where")
+    return f"{hypothesis['effect']} on {place}" if place else str(hypothesis["effect"])
 
 
-def _candidate(candidate: Values, top: float, chosen: str) -> dict[str, Any]:
+def _hypothesis(hypothesis: Values, top: float, chosen: str) -> dict[str, Any]:
     return {
-        "name": title(_full(candidate)), "gain": _gain(candidate),
-        "width": numbers.width((candidate["gain_nats"] or 0.0) / top),
-        "chosen": chosen in (_full(candidate), candidate["effect"]),
+        "name": title(_full(hypothesis)), "gain": _gain(hypothesis),
+        "width": numbers.width((hypothesis["gain_nats"] or 0.0) / top),
+        "chosen": chosen in (_full(hypothesis), hypothesis["effect"]),
     }  # fmt: skip
 
 
-def _gain(candidate: Values) -> str:
-    return f"{numbers.fixed(candidate['gain_nats'], 1)} nats"
+def _gain(hypothesis: Values) -> str:
+    return f"{numbers.fixed(hypothesis['gain_nats'], 1)} nats"
 
 
 def _sizes(seen: Values) -> list[dict[str, Any]]:

@@ -35,7 +35,12 @@ def where(statement: Values, figures: Figures) -> dict[str, Any]:
 
 def _regime(regime: Values) -> dict[str, Any]:
     rows = regime.get("rows")
-    return {"when": regime["when"], **_share(regime["share"]), "rows": _share(rows), "rows_known": numbers.known(rows)}
+    return {
+        "name": regime["regime"],
+        **_share(regime["share"]),
+        "rows": _share(rows),
+        "rows_known": numbers.known(rows),
+    }
 
 
 def _share(share: Any) -> dict[str, str]:

@@ -73,8 +73,8 @@ def _listed(names: Sequence[str]) -> str:
 
 def more_is_missing(statement: Values) -> bool:
     """Whether more is missing than the effects named."""
-    left = (statement.get("left_over") or {}).get("outputs")
-    return bool(statement.get("something_else") or left or statement.get("law"))
+    left = (statement.get("whiteness") or {}).get("outputs")
+    return bool(statement.get("more_missing") or left or statement.get("nonparametric"))
 
 
 def certainty(statement: Values) -> list[str]:
@@ -87,9 +87,9 @@ def certainty(statement: Values) -> list[str]:
     lines += _against_chance(statement)
     if effects and more_is_missing(statement):
         lines.append("Something else is missing too: section 2 shows what is left.")
-    chance = (statement.get("sensitivity") or {}).get("chance")
-    if verdict in ("nothing", "parameters_only") and known(chance):
-        lines.append(f"Effects of the sizes in section 6 would be found with a probability of {percent(chance)}.")
+    power = (statement.get("sensitivity") or {}).get("power")
+    if verdict in ("nothing", "parameters_only") and known(power):
+        lines.append(f"Effects of the sizes in section 6 would be found with a probability of {percent(power)}.")
     return lines
 
 
@@ -100,7 +100,7 @@ def _against_chance(statement: Values) -> list[str]:
         chances = [r["p_value"] for r in rounds if r.get("accepted") and known(r.get("p_value"))]
         return [f"Noise alone would gain as much with a probability of {number(max(chances), 2)}."] if chances else []
     last = rounds[-1] if rounds else {}
-    best = max(last.get("candidates") or [], key=lambda c: c["gain_nats"] or 0.0, default=None)
+    best = max(last.get("hypotheses") or [], key=lambda c: c["gain_nats"] or 0.0, default=None)
     if best is None or last.get("accepted") or not by_chance(last):
         return []
     best_of_all, chance = f"The best effect tried is {title(best['effect'])}", number(last["p_value"], 2)
@@ -124,7 +124,7 @@ def helps(statement: Values) -> list[str]:
     models, explained = fit.get("models") or {}, fit.get("explained_share")
     score, ends = longest(models), interval(fit.get("explained_share_ci95"))
     errors = {m: models[m][score]["value"] for m in MODELS if score in (models.get(m) or {})}
-    after, before = errors.get("augmented"), [errors[m] for m in ("as_is", "refitted") if known(errors.get(m))]
+    after, before = errors.get("augmented"), [errors[m] for m in ("nominal", "refitted") if known(errors.get(m))]
     lines = []
     if statement.get("effects") and before and known(after):
         change = f"from {share(min(before))} to {share(after)} of the motion"
@@ -153,7 +153,7 @@ def to_do(statement: Values) -> list[str]:
         "unexplained": [_look(statement.get("located") or {})],
         "inconclusive": [f"{r['remedy']}." for r in statement.get("insufficient") or []],
     }.get(verdict, [])
-    if verdict == "unexplained" and statement.get("resembles"):
+    if verdict == "unexplained" and statement.get("closest_matches"):
         lines.append("Compare it with the closest matches of section 2.")
     if statement.get("experiment"):
         lines.append(statement["experiment"].get("statement", ""))
@@ -163,7 +163,7 @@ def to_do(statement: Values) -> list[str]:
 def _look(located: Values) -> str:
     outputs, regimes = (located.get(key) or [] for key in ("outputs", "regimes"))
     where = f" in {max(outputs, key=lambda o: o['excess'])['name']}" if outputs else ""
-    where += f", where {max(regimes, key=lambda r: r['share'])['when']}" if regimes else ""
+    where += f", where {max(regimes, key=lambda r: r['share'])['regime']}" if regimes else ""
     return f"Look for the cause{where or ' where the mismatch shows'} (section 1)."
 
 

@@ -84,7 +84,7 @@ def _of_one(key: Key, effects: Sequence[Mapping[str, Any]], right: set[str]) -> 
         row |= constants(true["constants"], found["constants"]) if found["id"] == true["id"] else {}
         onset = onset_of(key)
         if onset is not None:
-            said = found.get("from_s")
+            said = found["support"]["from_s"]
             said = next((c["value"] for c in found["constants"] if c["name"] in ("from", "onset")), said)
             row["onset_error"] = abs(said - onset) / TIME_STEP if said is not None else math.inf
     return row
@@ -151,7 +151,7 @@ def _open_loop(key: Key, statement: Statement) -> Row:
         return {}
     of = lambda model: [p["errors"].get(model, p["errors"]["refitted"]) for p in replay["positions"]]  # noqa: E731
     ratio = lambda model: float(np.sqrt(np.mean(np.square(of(model)))) / floor)  # noqa: E731
-    return {"open_loop": ratio("augmented"), "open_loop_as_is": ratio("as_is")}
+    return {"open_loop": ratio("augmented"), "open_loop_nominal": ratio("nominal")}
 
 
 def _parameter(key: Key, statement: Statement) -> Row:
@@ -159,7 +159,7 @@ def _parameter(key: Key, statement: Statement) -> Row:
     if not key.get("parameter") or "parameters" not in statement:
         return {}
     name, true = key["parameter"]
-    return {"parameter_error": abs(statement["parameters"]["after"][name] / true - 1)}
+    return {"parameter_error": abs(statement["parameters"]["fitted"][name] / true - 1)}
 
 
 RULE = re.compile(r"^(.*) ([<>]) (-?[0-9.e+-]+)( \S+)?$")

@@ -94,7 +94,7 @@ def table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
         average("open-loop error of the corrected model, in noise, median", "at most 1.5",
                 values(of("single", "parameters"), "open_loop"), np.median, rng),
         average("the same, of the model as it is", "-",
-                values(of("single", "parameters"), "open_loop_as_is"), np.median, rng),
+                values(of("single", "parameters"), "open_loop_nominal"), np.median, rng),
         share("causes in a physics engine, named rightly", "-", of("engine"), lambda r: r["top1"]),
         share("spikes in real recordings, named rightly", "-", of("real"), lambda r: r["top1"]),
         average("seconds per case", "30 s for 3,000 transitions", values(rows, "seconds"), np.median, rng),

@@ -11,6 +11,7 @@ from concealed import seal, sessions
 from concealed.case import features, noise_of
 from concealed.plain import STATE, observer, refit, robot, whitened
 from concealed.strength import UNLIKE, UNSURE
+from simgap.formats import statements
 from simgap.formats.atomic import replacing_folder
 from simgap.formats.documents import read_bytes, read_json, write_json, write_table, write_text
 from simgap.formats.folders import remove_folder
@@ -69,7 +70,7 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         if not workspace.record(case).exists():
             continue
         record, key = read_json(workspace.record(case)), opened.keys[case]
-        statement = read_json(workspace.statement(case)) if workspace.statement(case).exists() else None
+        statement = statements.read(workspace.statement(case)) if workspace.statement(case).exists() else None
         row = {"case": case, **judge(key, statement, record["seconds"], record["error"])}
         row["fault"] = metrics.fault(row)
         if not workspace.has_models:
@@ -84,7 +85,7 @@ def _of_spot(workspace: SealedWorkspace, case: str, key: dict[str, Any], stateme
     state, command = sessions.read(workspace.recordings(case))
     row = baselines.sparse(state, command, key)
     if key["kind"] == "regime" and statement is not None:
-        rules = [r["when"] for r in statement["located"]["regimes"]]
+        rules = [r["regime"] for r in statement["located"]["regimes"]]
         row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
     return row
 

@@ -62,7 +62,7 @@ def test_the_diagnosis_is_a_run_in_mlflow(folder: Path, run_id: str) -> None:
         ("rail-training", "training"), ("rail-heldout", "heldout"),
     ]  # fmt: skip
     scores = dict(diagnose.scores(found))
-    assert {"as_is/nll_1", "refitted/nll_1", "black_box/nll_1"} <= set(scores)
+    assert {"nominal/nll_1", "refitted/nll_1", "black_box/nll_1"} <= set(scores)
     assert run.data.metrics == pytest.approx(
         {**scores, "effects": len(found["effects"]), "seconds": run.data.metrics["seconds"]}
     )

@@ -57,7 +57,7 @@ def test_another_model_is_another_case(workspace: SealedWorkspace) -> None:
 def statement(replay: dict[str, float], **more: Any) -> dict[str, Any]:
     """What a diagnosis might have said."""
     return {"verdict": "nothing", "effects": [], "located": {"regimes": []}, "fit": {"models": {}},
-            "parameters": {"after": {}}, "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
+            "parameters": {"fitted": {}}, "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
             **more}  # fmt: skip
 
 
@@ -68,7 +68,7 @@ def test_scores_of_a_suite_of_arms(workspace: SealedWorkspace, monkeypatch: pyte
     manifest = read_json(workspace.manifest)
     for name in manifest["keys"]:
         write_json(workspace.record(name), {"fingerprint": f"0123-{name}", "seconds": 9.0, "error": None})
-        write_json(workspace.statement(name), statement({"as_is": 1e-3, "refitted": 1e-3}))
+        write_json(workspace.statement(name), statement({"nominal": 1e-3, "refitted": 1e-3}))
     for name, key in keys(workspace).keys.items():
         if key["kind"] == "single":
             loss = key["effects"][0]["constants"][0]["value"]
@@ -76,7 +76,7 @@ def test_scores_of_a_suite_of_arms(workspace: SealedWorkspace, monkeypatch: pyte
                      "channels": ["cmd_base"], "gain_nats": 99.0,
                      "constants": [{"name": "loss", "unit": "N m", "value": 1.02 * loss,
                                     "ci95": [1.01 * loss, 1.03 * loss]}]}  # fmt: skip
-            errors = {"as_is": 1e-2, "refitted": 9e-3, "augmented": key["floor"]}
+            errors = {"nominal": 1e-2, "refitted": 9e-3, "augmented": key["floor"]}
             write_json(workspace.statement(name), statement(errors, verdict="missing_physics", effects=[named]))
     score.run("arm", params_with(), workspace.root)
     (report,) = workspace.reports.iterdir()
@@ -116,7 +116,7 @@ def test_a_case_is_diagnosed_by_its_own_model(tmp_path: Path) -> None:
     assert told["parameters"]["units"]["kp base"] == "N m/rad"
     assert {p["name"] for p in told["replay"]["positions"]} == {"base_pos", "shoulder_pos", "elbow_pos"}
     assert row["error"] is None
-    assert row["open_loop"] < row["open_loop_as_is"]
+    assert row["open_loop"] < row["open_loop_nominal"]
 
 
 def stage_rows(workspace: SealedWorkspace) -> list[dict[str, Any]]:

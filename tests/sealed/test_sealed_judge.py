@@ -23,7 +23,7 @@ def key(kind: str, *effects: str, strength: float = 100.0, **more: Any) -> dict[
 
 def effect(name: str, probability: float = 0.99, credible: tuple[str, ...] = (), gain: float = 50.0) -> dict[str, Any]:
     return {"id": name, "probability": probability, "credible_set": [name, *credible], "gain_nats": gain,
-            "outputs": ["base_vx", "base_vy"], "channels": [], "from_s": None,
+            "outputs": ["base_vx", "base_vy"], "channels": [], "support": {"from_s": None},
             "constants": [{"name": "limit", "value": -0.52, "unit": "m/s", "ci95": [-0.55, -0.49]}]}  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def test_a_right_name_at_another_joint_is_not_alone() -> None:
 
 def test_a_wrong_parameter_is_refitted_and_named_nothing() -> None:
     truth = {**key("parameters"), "verdicts": ["parameters_only"], "cause": "wrong kp", "parameter": ("kp elbow", 50.0)}
-    said = {**told("parameters_only"), "parameters": {"after": {"kp elbow": 48.0}}}
+    said = {**told("parameters_only"), "parameters": {"fitted": {"kp elbow": 48.0}}}
     found = row(truth, said)
     assert found["parameter_error"] == pytest.approx(0.04)
     assert (found["truth"], found["fault"], found["confident_wrong"]) == ("wrong kp", "", False)
@@ -107,10 +107,10 @@ def test_a_wrong_parameter_is_refitted_and_named_nothing() -> None:
 
 def test_errors_in_open_loop_are_in_terms_of_the_noise() -> None:
     """Of the model with the effects, or refitted where none is named."""
-    truth, errors = {**key("single", "lag"), "floor": 2e-4}, {"as_is": 8e-4, "refitted": 6e-4, "augmented": 2e-4}
+    truth, errors = {**key("single", "lag"), "floor": 2e-4}, {"nominal": 8e-4, "refitted": 6e-4, "augmented": 2e-4}
     replay = {"positions": [{"name": "a_pos", "errors": errors}, {"name": "b_pos", "errors": errors}]}
     found = row(truth, {**told("missing_physics", effect("lag")), "replay": replay})
-    assert (found["open_loop"], found["open_loop_as_is"]) == (pytest.approx(1.0), pytest.approx(4.0))
+    assert (found["open_loop"], found["open_loop_nominal"]) == (pytest.approx(1.0), pytest.approx(4.0))
     for position in replay["positions"]:
         position["errors"] = {name: e for name, e in errors.items() if name != "augmented"}
     assert row(truth, {**told("parameters_only"), "replay": replay})["open_loop"] == pytest.approx(3.0)

@@ -25,9 +25,9 @@ from tasks import diagnose
 from tasks.diagnose import Folders
 
 STATEMENT: dict[str, Any] = {
-    "schema": 1, "simulator": "drive", "verdict": "missing_physics", "statement": "Friction of 2.5 N [sic] is missing.",
+    "schema": 2, "simulator": "drive", "verdict": "missing_physics", "statement": "Friction of 2.5 N [sic] is missing.",
     "effects": [{"id": "coulomb_friction", "probability": 0.97}],
-    "fit": {"models": {"as_is": {"nll_1": {"value": -1.5, "ci95": [-1.6, -1.4]},
+    "fit": {"models": {"nominal": {"nll_1": {"value": -1.5, "ci95": [-1.6, -1.4]},
                                  "error_50_cart [m]": {"value": 0.25, "ci95": [0.2, 0.3]}},
                        "augmented": {"nll_1": {"value": float("nan"), "ci95": [0.0, 0.0]}}},
             "explained_share": None},
@@ -160,6 +160,6 @@ def test_a_diagnosis_killed_while_it_is_written_passes_for_none(tmp_path: Path) 
 
 
 def test_scores_are_flat_and_known() -> None:
-    assert dict(diagnose.scores(STATEMENT)) == {"as_is/nll_1": -1.5, "as_is/error_50_cart": 0.25}
+    assert dict(diagnose.scores(STATEMENT)) == {"nominal/nll_1": -1.5, "nominal/error_50_cart": 0.25}
     whole = {**STATEMENT, "fit": {**STATEMENT["fit"], "explained_share": 0.9}}
     assert dict(diagnose.scores(whole))["explained_share"] == 0.9

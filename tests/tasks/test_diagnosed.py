@@ -79,19 +79,19 @@ def asked(recordings: list[Recording], monkeypatch: pytest.MonkeyPatch) -> list[
     """In place of a diagnosis, which takes a minute, a dead time is found; gives the seeds of those that were made."""
     made: list[int] = []
 
-    def explain(simulator, used, _rng, say) -> SimpleNamespace:
+    def explain(simulator, used, _rng, report) -> SimpleNamespace:
         made.append(len(used.training) + len(used.heldout))
         assert simulator == SPOT
         assert not used.baseline
-        say("looking")
+        report("looking")
         found = late(recordings)
         return SimpleNamespace(
             known=lambda: None,
             acting=lambda _: found.acting,
             names=lambda _: True,
             problem=SimpleNamespace(scales=found.scales),
-            members=[SimpleNamespace(candidate=SimpleNamespace(name="delay on all"))],
-            scattered=[SimpleNamespace(id="dropout")],
+            members=[SimpleNamespace(hypothesis=SimpleNamespace(name="delay on all"))],
+            noise_effects=[SimpleNamespace(id="dropout")],
         )
 
     monkeypatch.setattr(diagnosed, "explain", explain)

@@ -51,11 +51,11 @@ def test_every_run_is_kept_and_a_finished_one_is_not_repeated(
 
 
 def test_what_forecasts_miss_is_kept_where_it_is_known() -> None:
-    said = {"verdict": "nothing", "effects": [], "resembles": [],
-            "fit": {"models": {"as_is": {"error_50": {"value": 0.2}}, "refitted": {}}}}  # fmt: skip
+    said = {"verdict": "nothing", "effects": [], "closest_matches": [],
+            "fit": {"models": {"nominal": {"error_50": {"value": 0.2}}, "refitted": {}}}}  # fmt: skip
     row = external.row_of(case([]), said)
     assert row["outcome"] == "right"
-    assert row["error_50_as_is"] == 0.2
+    assert row["error_50_nominal"] == 0.2
     assert row["error_50_black_box"] is None
 
 

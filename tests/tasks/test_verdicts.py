@@ -9,7 +9,7 @@ from tasks import verdicts
 
 def statement(verdict: str, *named: tuple[str, float], ties: tuple[str, ...] = ()) -> dict[str, Any]:
     effects = [{"id": name, "probability": p, "credible_set": [name, *ties]} for name, p in named]
-    return {"verdict": verdict, "effects": effects, "resembles": []}
+    return {"verdict": verdict, "effects": effects, "closest_matches": []}
 
 
 @pytest.mark.parametrize(

@@ -5,16 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from simgap.diagnosis.hypotheses.support import ALWAYS, Since, Support
 from simgap.diagnosis.likelihood.problem import Group
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import Constant, Effect, Scales, Site
 
 
-class Candidate(NamedTuple):
-    """One hypothesis: an effect at one site, or shared by several, with constants to start a search at.
+class Hypothesis(NamedTuple):
+    """One effect at one site, or shared by several, that acts in a support.
 
-    groups: one per constant; starts: internal constants [k] each. twin: the same constants acting everywhere, free as
-    well where the question is what changed between two sets of recordings.
+    groups: its free constants, each with the number of the support's gate; starts: internal constants [k] each that a
+    search starts at. twin: the same constants acting everywhere, free as well where the question is what changed
+    between two sets of recordings.
     """
 
     effect: Effect
@@ -24,6 +26,7 @@ class Candidate(NamedTuple):
     outputs: tuple[str, ...]
     groups: tuple[Group, ...]
     starts: tuple[tuple[float, ...], ...]
+    support: Support = ALWAYS
     twin: tuple[Group, ...] = ()
 
     @property
@@ -31,29 +34,30 @@ class Candidate(NamedTuple):
         return f"{self.effect.key} on {self.where}"
 
 
-def candidates(augmented: Augmented, scales: Scales, events: bool = False) -> list[Candidate]:
+def hypotheses_of(augmented: Augmented, scales: Scales, events: bool = False) -> list[Hypothesis]:
     """All hypotheses of one effect that acts throughout, or of those that act during a stretch only."""
     return [
-        _candidate(augmented, scales, e, where, members)
+        _hypothesis(augmented, scales, e, where, members)
         for e, (effect, sites) in enumerate(zip(augmented.catalogue, augmented.sites, strict=True))
         if effect.event == events
         for where, members in _tied(effect, sites)
     ]
 
 
-def changed(candidate: Candidate) -> Candidate:
-    """The hypothesis that an effect differs where the first support is open."""
-    return behind(candidate, 1)._replace(twin=candidate.groups)
+def changed(hypothesis: Hypothesis, baseline: int) -> Hypothesis:
+    """The hypothesis that an effect differs since a baseline of so many sessions, whose gate is the first."""
+    return behind(hypothesis, Since(baseline), 1)._replace(twin=hypothesis.groups)
 
 
-def behind(candidate: Candidate, support: int) -> Candidate:
-    """The same hypothesis, acting only where a support is open."""
-    return candidate._replace(groups=tuple(g._replace(support=support) for g in candidate.groups))
+def behind(hypothesis: Hypothesis, support: Support, gate: int) -> Hypothesis:
+    """The same hypothesis, acting in a support only, whose gate has this number (from 1)."""
+    groups = tuple(g._replace(support=gate) for g in hypothesis.groups)
+    return hypothesis._replace(support=support, groups=groups)
 
 
 def within_session(
-    throughout: Sequence[Candidate], events: Sequence[Candidate], to_its_end: bool
-) -> tuple[list[Candidate], list[Candidate]]:
+    throughout: Sequence[Hypothesis], events: Sequence[Hypothesis], to_its_end: bool
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
     """Of both, those that may act during a stretch of one session, each law by one name: a drift is a push there,
     unless it lasts to the session's end."""
     named, others = (throughout, events) if to_its_end else (events, throughout)
@@ -62,7 +66,7 @@ def within_session(
     return (list(named), others) if to_its_end else (others, list(named))
 
 
-def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Candidate:
+def _hypothesis(augmented: Augmented, scales: Scales, e: int, where: str, members: tuple[int, ...]) -> Hypothesis:
     effect, sites = augmented.catalogue[e], augmented.sites[e]
     entries = [tuple(augmented.index[Slot(e, k, s)] for s in members) for k in range(len(effect.constants))]
     low, high = augmented.bounds
@@ -76,15 +80,15 @@ def _candidate(augmented: Augmented, scales: Scales, e: int, where: str, members
     # The smallest size that a constant is looked for at is its scale.
     sizes = [min(abs(c) for c in of if c) for of in zip(*starts, strict=True)]
     groups = tuple(Group(of, size) for of, size in zip(entries, sizes, strict=True))
-    return Candidate(
+    return Hypothesis(
         effect, members, where, _union(sites[s].channels for s in members), _union(sites[s].outputs for s in members),
         groups, tuple(starts),
     )  # fmt: skip
 
 
-def unit_of(augmented: Augmented, candidate: Candidate, constant: Constant) -> str:
-    """The unit of a candidate's constant where it acts."""
-    site = augmented.sites[augmented.catalogue.index(candidate.effect)][candidate.sites[0]]
+def unit_of(augmented: Augmented, hypothesis: Hypothesis, constant: Constant) -> str:
+    """The unit of a hypothesis's constant where it acts."""
+    site = augmented.sites[augmented.catalogue.index(hypothesis.effect)][hypothesis.sites[0]]
     return constant.unit.replace("{u}", site.unit)
 
 

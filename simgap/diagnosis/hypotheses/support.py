@@ -1,7 +1,7 @@
-"""When an effect acts: from a time on in every session, during a stretch of one session, or in a regime."""
+"""Supports: when, where and in which sessions an effect acts."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,58 +15,99 @@ from simgap.layout import Layout
 PUSH = 8
 """Rows of the shortest push."""
 LASTING = 50
-"""Rows of the shortest stretch in which a law of motion may hold and not elsewhere."""
+"""Rows of the shortest window in which a law of motion may hold and not elsewhere."""
 
 
-class When(NamedTuple):
-    """Session (index, None for all), time [s] since its start, and regime (None for all)."""
-
-    session: int | None = None
-    from_s: float = 0.0
-    to_s: float = np.inf
-    regime: Regime | None = None
+@dataclass(frozen=True)
+class Always:
+    """In every row."""
 
 
-NEVER = When(to_s=0.0)
-"""Open in no row: what acts in one session of training is closed in held-out ones."""
+@dataclass(frozen=True)
+class From:
+    """From a time [s] since its start on, in every session."""
+
+    from_s: float
 
 
-def in_words(layout: Layout, when: When) -> str:
-    """In short: `where reach > 0.9 m`, `from 3.2 s on`."""
-    return f"where {words(layout, when.regime)}" if when.regime is not None else f"from {when.from_s:.1f} s on"
+@dataclass(frozen=True)
+class Window:
+    """Between two times [s] since the start of one session, given by its index."""
+
+    session: int
+    from_s: float
+    to_s: float
 
 
-def opened(layout: Layout, chunks: Chunks, supports: Sequence[When]) -> Chunks:
+@dataclass(frozen=True)
+class Since:
+    """In all sessions but the first so many, which are those of a baseline."""
+
+    first: int
+
+
+Support = Always | From | Window | Regime | Since
+ALWAYS = Always()
+NOWHERE = Window(-1, 0.0, 0.0)
+
+
+def mask(layout: Layout, support: Support, chunks: Chunks) -> Bool[np.ndarray, "C T"]:
+    """The rows in which an effect with this support acts; a regime is that of the measured state."""
+    time_s, session = np.asarray(chunks.time_s), np.asarray(chunks.session)[:, None]
+    match support:
+        case Always():
+            return np.full(time_s.shape, True)
+        case From(from_s):
+            return time_s >= from_s
+        case Window(of, from_s, to_s):
+            return (session == of) & (time_s >= from_s) & (time_s < to_s)
+        case Since(first):
+            return np.broadcast_to(session >= first, time_s.shape)
+        case regime:
+            return inside(layout, regime, chunks)
+
+
+def opened(layout: Layout, chunks: Chunks, supports: Sequence[Support]) -> Chunks:
     """Chunks with a gate for each support; a single one, always open, where there are none."""
-    gates = [_gate(layout, chunks, when) for when in supports or [When()]]
+    gates = [mask(layout, support, chunks) for support in supports or [ALWAYS]]
     return chunks._replace(gate=jnp.asarray(np.stack(gates, axis=1), jnp.float32))
 
 
-def _gate(layout: Layout, chunks: Chunks, when: When) -> Bool[np.ndarray, "C T"]:
-    """Where an effect acts; in a regime, as measured."""
-    time = np.asarray(chunks.time_s)
-    acts = (time >= when.from_s) & (time < when.to_s)
-    if when.session is not None:
-        acts &= (np.asarray(chunks.session) == when.session)[:, None]
-    if when.regime is not None:
-        acts &= inside(layout, when.regime, chunks)
-    return acts
+def for_heldout(layout: Layout, unseen: Chunks, supports: Sequence[Support]) -> Chunks:
+    """Held-out segments with a gate for each support; a window lies in a fitted session, so its gate is closed."""
+    return opened(layout, unseen, [NOWHERE if isinstance(s, Window) else s for s in supports])
 
 
-def elsewhere(rows: Rows, when: When, score: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Scores of the rows outside of a stretch, nil in it and in the `PUSH` rows beside it, where it still echoes."""
-    margin = PUSH * float(np.median(np.diff(rows.time_s)))
-    inside = (rows.time_s >= when.from_s - margin) & (rows.time_s < when.to_s + margin)
-    inside &= rows.session == when.session
-    return np.where(inside, 0.0, score)
+def in_words(layout: Layout, support: Support) -> str:
+    """In short: `where reach > 0.9 m`, `from 3.2 s on`."""
+    match support:
+        case Regime():
+            return f"where {words(layout, support)}"
+        case From(from_s) | Window(_, from_s, _):
+            return f"from {from_s:.1f} s on"
+        case Since():
+            return "since the baseline"
+        case Always():
+            return "throughout"
 
 
-def at_start(rows: Rows, when: When) -> bool:
-    """Whether a stretch begins in the first `PUSH` rows of its session."""
-    time_s = np.sort(rows.time_s[rows.session == when.session])
-    return when.from_s <= time_s[min(PUSH, len(time_s)) - 1]
+def within(rows: Rows, window: Window, margin_s: float = 0.0) -> Bool[np.ndarray, " n"]:
+    """The rows of a window, and of its session those up to a margin [s] before and after it."""
+    time_s = rows.time_s
+    return (rows.session == window.session) & (time_s >= window.from_s - margin_s) & (time_s < window.to_s + margin_s)
 
 
-def to_its_end(rows: Rows, when: When) -> bool:
-    """Whether a stretch lasts to the end of its session."""
-    return when.session is not None and when.to_s > rows.time_s[rows.session == when.session].max()
+def elsewhere(rows: Rows, window: Window, score: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Scores of the rows outside a window, zero in it and in the `PUSH` rows at either side, where it still echoes."""
+    return np.where(within(rows, window, PUSH * float(np.median(np.diff(rows.time_s)))), 0.0, score)
+
+
+def at_start(rows: Rows, window: Window) -> bool:
+    """Whether a window begins in the first `PUSH` rows of its session."""
+    time_s = np.sort(rows.time_s[rows.session == window.session])
+    return window.from_s <= time_s[min(PUSH, len(time_s)) - 1]
+
+
+def to_its_end(rows: Rows, window: Window) -> bool:
+    """Whether a window lasts to the end of its session."""
+    return window.to_s > rows.time_s[rows.session == window.session].max()

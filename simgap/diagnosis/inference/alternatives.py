@@ -7,10 +7,19 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis.config import LEAST_SHARE, RIVAL
-from simgap.diagnosis.hypotheses.space import Candidate
-from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Found, Helps, Model, Round, Say, Tried, lacking, least, settled
+from simgap.diagnosis.inference.model import (
+    Found,
+    HeldOutCheck,
+    Model,
+    Reporter,
+    Round,
+    Trial,
+    least,
+    refitted_without,
+    settled,
+)
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.score_test import Screening
 from simgap.diagnosis.inference.select import one_more
@@ -22,21 +31,20 @@ class Member(NamedTuple):
     """An effect of the set that explains the recordings.
 
     gain: of the set over the set without it [nats]. odds: probability of every effect id that could stand in its place;
-    rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. when: it acts then only,
-    if not throughout. misfit: further gain [nats] if its law could bend (see `relaxation.misfits`).
+    rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. misfit: further gain
+    [nats] if its law could bend (see `relaxation.misfits`).
     """
 
-    candidate: Candidate
+    hypothesis: Hypothesis
     gain: float
     odds: dict[str, float]
-    rival: Tried | None
+    rival: Trial | None
     without: Fit
-    when: When | None = None
     misfit: float = 0.0
 
 
 def defend(
-    found: Found, candidates: Sequence[Candidate], helps: Helps, rng: np.random.Generator, say: Say
+    found: Found, hypotheses: Sequence[Hypothesis], holds_out: HeldOutCheck, rng: np.random.Generator, report: Reporter
 ) -> tuple[Model, tuple[Member, ...], list[Round]]:
     """Let every member defend its place, given the others: a better rival takes it, one that is not needed goes.
 
@@ -48,72 +56,76 @@ def defend(
         rest = evaluate(model.problem, base.v, base.groups)
         return model, (member(model.problem, found.rounds[0].tried, rest),), []
     members, rounds = [], []
-    for candidate, chosen in zip(found.chosen, found.rounds, strict=False):
-        say(f"{candidate.name} against its rivals, given the other effects")
+    for hypothesis, chosen in zip(found.chosen, found.rounds, strict=False):
+        report(f"{hypothesis.name} against its rivals, given the other effects")
         problem, fit, _ = model
-        reduced = lacking(model, [candidate], settled(chosen.tried[0].gain))
-        own = Tried.of(candidate, fit, reduced.fit)
-        others = [c for c in found.chosen if c is not candidate]
-        tried = one_more(reduced, _rivals(candidate, chosen.screening, candidates), rng, say, others, own)
+        reduced = refitted_without(model, [hypothesis], settled(chosen.tried[0].gain))
+        own = Trial.of(hypothesis, fit, reduced.fit)
+        others = [c for c in found.chosen if c is not hypothesis]
+        tried = one_more(reduced, _rivals(hypothesis, chosen.screening, hypotheses), rng, report, others, own)
         rounds.append(tried)
-        own = next(t for t in tried.tried if t.candidate is candidate)
+        own = next(t for t in tried.tried if t.hypothesis is hypothesis)
         rivals = [t for t in tried.tried if t is not own]
         required = chosen.screening.threshold / 2
-        better = _better(reduced, rivals, own, helps, required)
+        better = _better(reduced, rivals, own, holds_out, required)
         if better is not None:
-            say(f"{better.candidate.name} replaces {candidate.name} ({better.gain - own.gain:+.1f} nats)")
+            report(f"{better.hypothesis.name} replaces {hypothesis.name} ({better.gain - own.gain:+.1f} nats)")
             model = Model(problem, *optimise(problem, better.fit))
             rivals.remove(better)
             own = better
         if own.beyond < max(required, least(problem, base, reduced.fit, model.fit)):
-            say(f"{candidate.name} is not needed beside the others")
+            report(f"{hypothesis.name} is not needed beside the others")
             model = reduced
         else:
             members.append(member(problem, [own, *rivals], reduced.fit))
     return model, tuple(members), rounds
 
 
-def _rivals(candidate: Candidate, when_chosen: Screening, candidates: Sequence[Candidate]) -> list[Candidate]:
+def _rivals(hypothesis: Hypothesis, when_chosen: Screening, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """A member and the hypotheses that came near it when it was chosen; the others are no rivals now."""
     gains: dict[str, float] = {}
     for s in when_chosen.found:
-        gains[s.candidate.name] = max(s.gain, gains.get(s.candidate.name, 0.0))
-    near = {name for name, gain in gains.items() if gain >= RIVAL * gains.get(candidate.name, 0.0)} - {candidate.name}
-    return [c for c in candidates if c is candidate or c.name in near]
+        gains[s.hypothesis.name] = max(s.gain, gains.get(s.hypothesis.name, 0.0))
+    near = {name for name, gain in gains.items() if gain >= RIVAL * gains.get(hypothesis.name, 0.0)} - {hypothesis.name}
+    return [c for c in hypotheses if c is hypothesis or c.name in near]
 
 
-def _better(reduced: Model, rivals: Sequence[Tried], own: Tried, helps: Helps, required: float) -> Tried | None:
+def _better(
+    reduced: Model, rivals: Sequence[Trial], own: Trial, holds_out: HeldOutCheck, required: float
+) -> Trial | None:
     """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
-    ahead = (t for t in rivals if t.gain > own.gain + 1 and t.candidate.effect.id != own.candidate.effect.id)
-    return next((t for t in ahead if helps(reduced.problem, t, required)), None)
+    ahead = (t for t in rivals if t.gain > own.gain + 1 and t.hypothesis.effect.id != own.hypothesis.effect.id)
+    return next((t for t in ahead if holds_out(reduced.problem, t, required)), None)
 
 
-def outshone(model: Model, members: tuple[Member, ...], gain: float, say: Say) -> tuple[Model, tuple[Member, ...]]:
+def drop_dominated(
+    model: Model, members: tuple[Member, ...], gain: float, report: Reporter
+) -> tuple[Model, tuple[Member, ...]]:
     """Without the members that gain less than their share of what odd rows do: those rows would make them up."""
     weak = [m for m in members if m.gain < LEAST_SHARE * gain]
     for m in weak:
-        say(f"{m.candidate.name} is too weak a sign beside rows that are odd")
-        model = lacking(model, [m.candidate])
+        report(f"{m.hypothesis.name} is too weak a sign beside rows that are odd")
+        model = refitted_without(model, [m.hypothesis])
     return model, tuple(m for m in members if m not in weak)
 
 
-def member(problem: Problem, tried: Sequence[Tried], rest: Fit) -> Member:
+def member(problem: Problem, tried: Sequence[Trial], rest: Fit) -> Member:
     """The first of the hypotheses tried for one place, with the others as its rivals."""
     own = tried[0]
-    rival = next((t for t in tried if t.candidate.effect.id != own.candidate.effect.id), None)
-    return Member(own.candidate, own.gain, odds(problem, tried), rival, rest)
+    rival = next((t for t in tried if t.hypothesis.effect.id != own.hypothesis.effect.id), None)
+    return Member(own.hypothesis, own.gain, odds(problem, tried), rival, rest)
 
 
-def odds(problem: Problem, tried: Sequence[Tried]) -> dict[str, float]:
+def odds(problem: Problem, tried: Sequence[Trial]) -> dict[str, float]:
     """Probability of each effect id, by its best hypothesis, the first one tried being the best of all."""
     starts = blocks(np.asarray(problem.chunks.counts))
-    best: dict[str, Tried] = {}
+    best: dict[str, Trial] = {}
     for t in tried:
-        value = best.get(t.candidate.effect.id)
+        value = best.get(t.hypothesis.effect.id)
         if value is None or t.gain > value.gain:
-            best[t.candidate.effect.id] = t
+            best[t.hypothesis.effect.id] = t
     rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
-    lead, constants = tried[0].candidate.effect.id, {k: len(t.candidate.groups) for k, t in best.items()}
+    lead, constants = tried[0].hypothesis.effect.id, {k: len(t.hypothesis.groups) for k, t in best.items()}
     return compared(rows, constants, starts, lead, best[lead].gain)
 
 

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED
-from simgap.diagnosis.hypotheses.space import Candidate, behind, within_session
-from simgap.diagnosis.hypotheses.support import PUSH, When, at_start, elsewhere, to_its_end
+from simgap.diagnosis.hypotheses.space import Hypothesis, behind, within_session
+from simgap.diagnosis.hypotheses.support import ALWAYS, PUSH, Window, at_start, elsewhere, to_its_end, within
 from simgap.diagnosis.inference.alternatives import Member, member
 from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Model, Say, Tried
+from simgap.diagnosis.inference.model import Model, Reporter, Trial
 from simgap.diagnosis.inference.onsets import with_support
 from simgap.diagnosis.inference.scan import scores, stretch, stretch_by_chance
 from simgap.diagnosis.inference.score_test import vary
@@ -28,9 +28,9 @@ EXCEPTION = 3.0
 class _Push(NamedTuple):
     """An event and its best stretch: what it may gain there [nats], and with which constants."""
 
-    event: Candidate
+    event: Hypothesis
     constants: tuple[float, ...]
-    when: When
+    window: Window
     gain: float
     score: Float[np.ndarray, " n"]
     power: Float[np.ndarray, " n"]
@@ -39,10 +39,10 @@ class _Push(NamedTuple):
 def pushed(
     model: Model,
     members: tuple[Member, ...],
-    events: Sequence[Candidate],
-    throughout: Sequence[Candidate],
+    events: Sequence[Hypothesis],
+    throughout: Sequence[Hypothesis],
     rng: np.random.Generator,
-    say: Say,
+    report: Reporter,
 ) -> tuple[Model, tuple[Member, ...]]:
     """A push during a stretch of one session, if one is more than the best of all stretches by chance.
 
@@ -51,48 +51,48 @@ def pushed(
     problem, fit, _ = model
     rows = rows_of(problem.chunks)
     tried = [_push(model, rows, event, start) for event in events for start in event.starts]
-    if not tried or any(m.when for m in members):
+    if not tried or any(m.hypothesis.support != ALWAYS for m in members):
         return model, members
     best = max(tried, key=lambda p: p.gain)
     chance = stretch_by_chance(rows, best.score, best.power, LEVEL / len(tried), rng)
     if best.gain < chance + LEAST_SHARE * sum(m.gain for m in members):
         return model, members
     # A push is an exception: what recurs is something else.
-    again = max(stretch(rows, elsewhere(rows, best.when, p.score), p.power, PUSH)[1] for p in tried)
+    again = max(stretch(rows, elsewhere(rows, best.window, p.score), p.power, PUSH)[1] for p in tried)
     if best.gain < EXCEPTION * again:
         return model, members
-    when = best.when
-    drifts, pushes = within_session(throughout, events, to_its_end(rows, when))
+    window = best.window
+    drifts, pushes = within_session(throughout, events, to_its_end(rows, window))
     alike = (c for c in (*pushes, *drifts) if c.effect.law is best.event.effect.law and c.sites == best.event.sites)
     named = next(alike)
-    there, candidate = with_support(model, [], when), behind(named, 1)
+    there, hypothesis = with_support(model, [], window), behind(named, window, 1)
     begun = evaluate(
-        there.problem, vary(there.fit.v, candidate, best.constants), (*fit.groups, *candidate.groups), fit.noise
+        there.problem, vary(there.fit.v, hypothesis, best.constants), (*fit.groups, *hypothesis.groups), fit.noise
     )
     after = Model(there.problem, *optimise(there.problem, begun))
-    push = Tried.of(candidate, after.fit, fit)
-    say(f"{named.name} from {when.from_s:.1f} to {when.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
-    others = [behind(c, 1) for c in drifts if c is not named]
-    found = [push, *one_more(there, others, rng, say).tried]
+    push = Trial.of(hypothesis, after.fit, fit)
+    report(f"{named.name} from {window.from_s:.1f} to {window.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
+    others = [behind(c, window, 1) for c in drifts if c is not named]
+    found = [push, *one_more(there, others, rng, report).tried]
     if len(found) > 1 and found[1].gain > CLEARLY * push.gain + REQUIRED:
-        say(f"{found[1].candidate.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")
+        report(f"{found[1].hypothesis.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")
         found[:2] = found[1], push
         after = Model(there.problem, *optimise(there.problem, found[0].fit))
-    return after, (*members, member(there.problem, found, fit)._replace(when=when))
+    return after, (*members, member(there.problem, found, fit))
 
 
-def _push(model: Model, rows: Rows, event: Candidate, start: tuple[float, ...]) -> _Push:
+def _push(model: Model, rows: Rows, event: Hypothesis, start: tuple[float, ...]) -> _Push:
     """The stretch that an event's start explains best."""
     problem, fit, _ = model
     score, power = scores(fit, fit.e, trials(problem, [vary(fit.v, event, start)])[0])
-    when, gain = stretch(rows, score, power, PUSH)
-    while gain > 0 and at_start(rows, when):
+    window, gain = stretch(rows, score, power, PUSH)
+    while gain > 0 and at_start(rows, window):
         # What a robot remembers of the time before its session looks like a push, and is not known.
-        score = elsewhere(rows, when, score)
-        when, gain = stretch(rows, score, power, PUSH)
-    acts = (rows.session == when.session) & (rows.time_s >= when.from_s) & (rows.time_s < when.to_s)
+        score = elsewhere(rows, window, score)
+        window, gain = stretch(rows, score, power, PUSH)
+    acts = within(rows, window)
     amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
     constants = [c if of.shapes else amplitude * c for of, c in zip(event.effect.constants, start, strict=True)]
     low, _ = problem.augmented.bounds
     possible = all(c >= low[g.entries[0]] for c, g in zip(constants, event.groups, strict=True))
-    return _Push(event, tuple(map(float, constants)), when, gain if possible else 0.0, score, power)
+    return _Push(event, tuple(map(float, constants)), window, gain if possible else 0.0, score, power)

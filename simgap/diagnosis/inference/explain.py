@@ -6,20 +6,20 @@ from typing import NamedTuple
 import numpy as np
 
 from simgap.diagnosis.config import LEAST_SHARE, MOST_SUPPORTS
-from simgap.diagnosis.hypotheses.space import Candidate, behind, candidates, changed, within_session
-from simgap.diagnosis.hypotheses.support import When, opened, to_its_end
-from simgap.diagnosis.inference.alternatives import Member, defend, outshone
+from simgap.diagnosis.hypotheses.space import Hypothesis, behind, changed, hypotheses_of, within_session
+from simgap.diagnosis.hypotheses.support import ALWAYS, Since, Support, Window, for_heldout, opened, to_its_end
+from simgap.diagnosis.inference.alternatives import Member, defend, drop_dominated
 from simgap.diagnosis.inference.disturbances import pushed
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.heldout import agrees, by_row, gain, seen_at
-from simgap.diagnosis.inference.model import Found, Model, Round, Say, Tried, lacking
-from simgap.diagnosis.inference.noise import scatter
-from simgap.diagnosis.inference.nonparametric import no_law, unnamed
-from simgap.diagnosis.inference.onsets import acts_when, begins
+from simgap.diagnosis.inference.heldout import agrees, by_row, gain
+from simgap.diagnosis.inference.model import Found, Model, Reporter, Round, Trial, refitted_without
+from simgap.diagnosis.inference.noise import noise_effects
+from simgap.diagnosis.inference.nonparametric import no_law, nonparametric_law
+from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relaxation import misfits
 from simgap.diagnosis.inference.select import search
-from simgap.diagnosis.inference.two_sample import acted_before, behind_gate, differs, leaves, scatter_since
+from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
@@ -45,12 +45,12 @@ class _Asked(NamedTuple):
 
     chunks: Chunks
     unseen: Chunks
-    as_is: Fit
-    throughout: Sequence[Candidate]
-    events: Sequence[Candidate]
+    nominal: Fit
+    throughout: Sequence[Hypothesis]
+    events: Sequence[Hypothesis]
     baseline: int
     rng: np.random.Generator
-    say: Say
+    report: Reporter
 
 
 class _Found(NamedTuple):
@@ -62,20 +62,20 @@ class _Found(NamedTuple):
     model: Model
     members: tuple[Member, ...]
     rounds: list[Round]
-    supports: tuple[When, ...] = ()
+    supports: tuple[Support, ...] = ()
 
     def bare(self, baseline: int) -> Model:
         """The model without its effects."""
         if baseline:
-            return lacking(self.model, [m.candidate for m in self.members])
-        return lacking(self.model._replace(fit=self.searched.base), [])
+            return refitted_without(self.model, [m.hypothesis for m in self.members])
+        return refitted_without(self.model._replace(fit=self.searched.base), [])
 
 
 def explain(
     simulator: StepModel | Engine,
     sessions: Sessions,
     rng: np.random.Generator,
-    say: Say,
+    report: Reporter,
     ranges_hold: bool = True,
     before: Explanation | None = None,
 ) -> Explanation:
@@ -83,45 +83,49 @@ def explain(
     `Problem`. An engine is tabulated where an explanation from `before` leads along, or as it is."""
     augmented, baseline = Augmented(simulator), sessions.baseline
     scales, time_step = measure(augmented, sessions.fitted), simulator.time_step
-    chunks = behind_gate(cut(sessions.fitted, time_step), len(baseline))
+    chunks = cut(sessions.fitted, time_step)
+    if baseline:
+        chunks = opened(augmented.layout, chunks, [Since(len(baseline))])
     unseen = cut(sessions.heldout, time_step, least=len(chunks.row))
     problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
     problem = _tabulated(problem, before)
     chunks = problem.chunks
-    as_is = evaluate(problem, start(problem), ())
-    problem = problem._replace(whiten=whitening(as_is.e))
-    throughout, events = candidates(augmented, scales), candidates(augmented, scales, events=True)
-    asked = _Asked(chunks, unseen, as_is, throughout, events, len(baseline), rng, say)
+    nominal = evaluate(problem, start(problem), ())
+    problem = problem._replace(whiten=whitening(nominal.e))
+    throughout, events = hypotheses_of(augmented, scales), hypotheses_of(augmented, scales, events=True)
+    asked = _Asked(chunks, unseen, nominal, throughout, events, len(baseline), rng, report)
     if baseline:
-        asked = asked._replace(as_is=_with_baseline(asked, problem, baseline))
-    say(f"fitting the {len(simulator.parameters)} parameters to {len(sessions.fitted)} sessions")
+        asked = asked._replace(nominal=_with_baseline(asked, problem, baseline))
+    report(f"fitting the {len(simulator.parameters)} parameters to {len(sessions.fitted)} sessions")
     # A change is measured beside its twin: what both have and the baseline alone was too short to show is no change.
-    found = _look(asked, problem, unseen, [changed(c) for c in throughout] if baseline else throughout, ())
+    found = _look(
+        asked, problem, unseen, [changed(h, len(baseline)) for h in throughout] if baseline else throughout, ()
+    )
     changes = bool(baseline and found.members)  # beside which nothing else is looked for
-    scattered = [] if changes else scatter(found.model.problem, found.model.fit, found.unseen)
-    looked_at, odd = found.model.fit, sum(s.gain for s in scattered if s.rare)
+    noise_effects = [] if changes else noise_effects(found.model.problem, found.model.fit, found.unseen)
+    looked_at, odd = found.model.fit, sum(s.gain for s in noise_effects if s.rare)
     if not baseline:
         # Odd rows would make up as much as a weak member gains.
-        model, members = outshone(found.model, found.members, odd, say)
+        model, members = drop_dominated(found.model, found.members, odd, report)
         found = _restricted(asked, found._replace(model=model, members=members), odd)
     found, base = (found, None) if odd else _disturbed(asked, found, changes)
-    say("looking at the scatter that is left")
+    report("looking at the scatter that is left")
     problem, fit, _ = found.model
     if baseline:
-        scattered = scatter_since(found.model, sessions, found.unseen)
+        noise_effects = noise_effects_since(found.model, sessions, found.unseen)
     elif fit is not looked_at:
-        scattered = scatter(problem, fit, found.unseen)
+        noise_effects = noise_effects(problem, fit, found.unseen)
     # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains
     # them better, though it may not hold in all sessions.
     required, rejected = LEAST_SHARE * sum(m.gain for m in found.members), found.searched.rounds[-1].rejected
-    scattered = [s for s in scattered if s.gain > (max(required, rejected) if s.rare else required)]
+    noise_effects = [s for s in noise_effects if s.gain > (max(required, rejected) if s.rare else required)]
     base = base or found.bare(len(baseline))
-    law = no_law(found.model, found.unseen) if baseline else unnamed(found.model, found.unseen, rng, say)
-    bent = misfits(found.model, [m.candidate for m in found.members])
+    law = no_law(found.model, found.unseen) if baseline else nonparametric_law(found.model, found.unseen, rng, report)
+    bent = misfits(found.model, [m.hypothesis for m in found.members])
     members = tuple(m._replace(misfit=gain) for m, gain in zip(found.members, bent, strict=True))
     return Explanation(
-        problem, asked.as_is, base.fit, fit, spread(*found.model), members, scattered,
-        leaves(problem, fit, len(baseline)), law, found.unseen, found.supports,
+        problem, asked.nominal, base.fit, fit, spread(*found.model), members, noise_effects,
+        whiteness_of(problem, fit, len(baseline)), law, found.unseen, found.supports,
         [*found.searched.rounds, *found.rounds], len(baseline),
     )  # fmt: skip
 
@@ -137,47 +141,40 @@ def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
 
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:
     """The simulator with the effects that the baseline shows by itself, evaluated on all sessions."""
-    asked.say(f"what the baseline of {len(baseline)} sessions shows by itself")
+    asked.report(f"what the baseline of {len(baseline)} sessions shows by itself")
     chunks = cut(baseline, problem.scales.time_step, least=len(asked.chunks.row))
-    before, v = problem._replace(chunks=chunks), asked.as_is.v
+    before, v = problem._replace(chunks=chunks), asked.nominal.v
     # No session of the baseline is held out.
     always = lambda *_: True  # noqa: E731
-    known = search(before, evaluate(before, v, ()), asked.throughout, always, asked.rng, asked.say).model.fit
+    known = search(before, evaluate(before, v, ()), asked.throughout, always, asked.rng, asked.report).model.fit
     # Few sessions may say so little of parameters and gain that these explode on the others.
     left = known.v, v._replace(theta=known.v.theta)
     return max((evaluate(problem, v, known.groups) for v in left), key=lambda fit: fit.loglik)
 
 
 def _look(
-    asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Candidate], supports: tuple[When, ...]
+    asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Hypothesis], supports: tuple[Support, ...]
 ) -> _Found:
     """Search for effects, each of which then defends its place against its alternatives."""
 
-    def holds_out(problem: Problem, tried: Tried, required: float) -> bool:
-        heldout = gain(problem, tabulated(problem, tried.fit.v, unseen), tried.without, tried.fit)
-        return agrees(by_row(tried.without, tried.fit), heldout, problem.chunks, required)
+    def confirmed(problem: Problem, trial: Trial, required: float) -> bool:
+        heldout = gain(problem, tabulated(problem, trial.fit.v, unseen), trial.without, trial.fit)
+        return agrees(by_row(trial.without, trial.fit), heldout, problem.chunks, required)
 
-    def helps(problem: Problem, tried: Tried, required: float) -> bool:
-        # What acts in one session of training only is nothing to the others.
-        support = tried.candidate.groups[0].support
-        elsewhere = support and not np.asarray(unseen.gate)[:, support - 1].any()
-        holds = elsewhere or holds_out(problem, tried, required)
-        return holds and (not asked.baseline or differs(problem, tried, asked.baseline))
+    def holds_out(problem: Problem, trial: Trial, required: float) -> bool:
+        # Held-out sessions say nothing of an effect whose support they do not enter.
+        gate = trial.hypothesis.groups[0].support
+        elsewhere = gate and not np.asarray(unseen.gate)[:, gate - 1].any()
+        holds = elsewhere or confirmed(problem, trial, required)
+        return holds and (not asked.baseline or differs(problem, trial, asked.baseline))
 
-    as_is = asked.as_is
-    v = as_is.v._replace(delta=np.zeros((max(len(supports), 1), as_is.v.delta.shape[1]), np.float32))
-    searched = search(problem, evaluate(problem, v, as_is.groups), hypotheses, helps, asked.rng, asked.say)
-    model, members, rounds = defend(searched, hypotheses, helps, asked.rng, asked.say)
-    members = tuple(_acting_when(m, supports) for m in members)
+    nominal = asked.nominal
+    v = nominal.v._replace(delta=np.zeros((max(len(supports), 1), nominal.v.delta.shape[1]), np.float32))
+    searched = search(problem, evaluate(problem, v, nominal.groups), hypotheses, holds_out, asked.rng, asked.report)
+    model, members, rounds = defend(searched, hypotheses, holds_out, asked.rng, asked.report)
     unseen = tabulated(model.problem, model.fit.v, unseen)
     problem = problem._replace(chunks=model.problem.chunks, near=model.problem.near)
     return _Found(problem, unseen, searched, model, members, rounds, supports)
-
-
-def _acting_when(member: Member, supports: Sequence[When]) -> Member:
-    """With the support that it acts in; since a baseline, which is no such support, it acts throughout."""
-    support = member.candidate.groups[0].support
-    return member._replace(when=supports[support - 1]) if support and supports else member
 
 
 def _restricted(asked: _Asked, found: _Found, odd: float) -> _Found:
@@ -188,30 +185,32 @@ def _restricted(asked: _Asked, found: _Found, odd: float) -> _Found:
     """
     layout = found.problem.augmented.layout
     while len(found.supports) < MOST_SUPPORTS:
-        when = acts_when(found.model, found.members, found.supports, found.unseen, asked.say)
+        support = restriction(found.model, found.members, found.supports, found.unseen, asked.report)
         if not (found.members or odd):
-            when = begins(found.model, found.searched.rounds[0].screening, asked.rng, asked.say)
-        if when is None:
+            support = hidden_restriction(found.model, found.searched.rounds[0].screening, asked.rng, asked.report)
+        if support is None:
             return found
-        supports = (*found.supports, when)
-        hypotheses = [*asked.throughout, *(h for i, w in enumerate(supports, 1) for h in _within(asked, w, i))]
+        supports = (*found.supports, support)
+        hypotheses = [*asked.throughout, *(h for i, s in enumerate(supports, 1) for h in _within(asked, s, i))]
         problem = found.problem._replace(chunks=opened(layout, found.problem.chunks, supports))
-        further = _look(asked, problem, seen_at(layout, asked.unseen, supports), hypotheses, supports)
-        if not further.members or (found.supports and not any(m.when == when for m in further.members)):
+        further = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
+        if not further.members or (
+            found.supports and not any(m.hypothesis.support == support for m in further.members)
+        ):
             return found
         found = further
-        if not any(m.when for m in found.members):
+        if all(m.hypothesis.support == ALWAYS for m in found.members):
             return found._replace(supports=(), unseen=opened(layout, found.unseen, ()))
     return found
 
 
-def _within(asked: _Asked, when: When, support: int) -> list[Candidate]:
+def _within(asked: _Asked, support: Support, gate: int) -> list[Hypothesis]:
     """Hypotheses that an effect acts in a support only; in one session it may have been a push as well."""
     some = asked.throughout
-    if when.session is not None:
-        drifts, pushes = within_session(some, asked.events, to_its_end(rows_of(asked.chunks), when))
+    if isinstance(support, Window):
+        drifts, pushes = within_session(some, asked.events, to_its_end(rows_of(asked.chunks), support))
         some = [*drifts, *pushes]
-    return [behind(c, support) for c in some]
+    return [behind(h, support, gate) for h in some]
 
 
 def _disturbed(asked: _Asked, found: _Found, changes: bool) -> tuple[_Found, Model | None]:
@@ -221,11 +220,12 @@ def _disturbed(asked: _Asked, found: _Found, changes: bool) -> tuple[_Found, Mod
     """
     base = found.bare(asked.baseline) if changes else None
     model, members = pushed(
-        base or found.model, () if changes else found.members, asked.events, asked.throughout, asked.rng, asked.say
+        base or found.model, () if changes else found.members, asked.events, asked.throughout, asked.rng, asked.report
     )
     pays = not changes or model.fit.loglik > found.model.fit.loglik
-    if not pays or any(acted_before(m.when, asked.baseline) for m in members) or model is found.model:
+    supports = tuple(s for s in (m.hypothesis.support for m in members) if s != ALWAYS)
+    before = any(isinstance(s, Window) and s.session < asked.baseline for s in supports)
+    if not pays or before or model is found.model:
         return found, base
-    supports = tuple(m.when for m in members if m.when)
-    unseen = seen_at(found.problem.augmented.layout, found.unseen, supports)
+    unseen = for_heldout(found.problem.augmented.layout, found.unseen, supports)
     return found._replace(model=model, members=members, supports=supports, unseen=unseen), None

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from simgap.diagnosis.config import EXPLAINED, LIKELY
-from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.hypotheses.support import ALWAYS, Support
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.model import Round, without
-from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.nonparametric import Law
 from simgap.diagnosis.inference.posterior import Spread, differs_from_zero
-from simgap.diagnosis.inference.whiteness import LeftOver, named_share
+from simgap.diagnosis.inference.whiteness import Whiteness, named_share
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
@@ -20,7 +20,7 @@ from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
 class Explanation(NamedTuple):
     """The best explanation of the recordings.
 
-    as_is, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
+    nominal, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
     sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over; law: one
     beside them that has no name. unseen: the held-out rows, with the effects' supports. supports: when and where
     effects act that do not act throughout. rounds: what was tried. baseline: number of its sessions; with any, what is
@@ -28,16 +28,16 @@ class Explanation(NamedTuple):
     """
 
     problem: Problem
-    as_is: Fit
+    nominal: Fit
     base: Fit
     fit: Fit
     sd: Spread
     members: tuple[Member, ...]
-    scattered: list[Scatter]
-    left: LeftOver
+    noise_effects: list[NoiseEffect]
+    whiteness: Whiteness
     law: Law
     unseen: Chunks
-    supports: tuple[When, ...]
+    supports: tuple[Support, ...]
     rounds: list[Round]
     baseline: int
 
@@ -47,28 +47,33 @@ class Explanation(NamedTuple):
         A constant that does not differ from zero, though its effect gains, stands for what the parameters do; what many
         names fit alike is likely something that has none; and so is what a law explains only where it bends.
         """
-        if member.odds[member.candidate.effect.id] < LIKELY:
+        if member.odds[member.hypothesis.effect.id] < LIKELY:
             return False
         if member.gain < EXPLAINED * (member.gain + member.misfit):
             return False
-        nameless = np.maximum(self.left.nats, self.law.nats(self.fit))
+        nameless = np.maximum(self.whiteness.nats, self.law.nats(self.fit))
         share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
-        return share >= EXPLAINED and differs_from_zero(self.problem, self.fit, member.candidate, self.sd)
+        return share >= EXPLAINED and differs_from_zero(self.problem, self.fit, member.hypothesis, self.sd)
 
     @property
     def anything(self) -> bool:
         """Whether an effect was found, or something without a name."""
-        return bool(self.members or self.left.nats.any() or self.law.terms)
+        return bool(self.members or self.whiteness.nats.any() or self.law.terms)
 
     @property
     def ids(self) -> set[str]:
         """Of the effects found."""
-        return {m.candidate.effect.id for m in self.members}
+        return {m.hypothesis.effect.id for m in self.members}
 
     @property
     def regimes(self) -> tuple[Regime, ...]:
         """Of every support; everywhere, where there is none, or it is a matter of time."""
-        return tuple(when.regime or EVERYWHERE for when in self.supports) or (EVERYWHERE,)
+        return tuple(s if isinstance(s, Regime) else EVERYWHERE for s in self.supports) or (EVERYWHERE,)
+
+    @property
+    def known_supports(self) -> tuple[Support, ...]:
+        """Those that are known before a forecast; in which regime it is, a forecast says itself."""
+        return tuple(ALWAYS if isinstance(s, Regime) else s for s in self.supports)
 
     def acting(self, fit: Fit) -> Acting:
         """The constants of a fit, as part of a simulator: what changed since a baseline acts in it as well, and what
@@ -76,9 +81,9 @@ class Explanation(NamedTuple):
         theta, delta = np.asarray(fit.v.theta), np.asarray(fit.v.delta)
         if self.baseline and not self.supports:
             return everywhere(theta + delta[0])
-        lasting = [s for s, when in enumerate(self.supports) if when.regime is not None]
+        lasting = [s for s, support in enumerate(self.supports) if isinstance(support, Regime)]
         return Acting(theta, delta[lasting], tuple(self.regimes[s] for s in lasting))
 
     def known(self) -> Fit:
         """The fit without the effects that are nearest words only; nothing is fitted anew."""
-        return without(self.fit, [group for m in self.members if not self.names(m) for group in m.candidate.groups])
+        return without(self.fit, [group for m in self.members if not self.names(m) for group in m.hypothesis.groups])

@@ -1,15 +1,11 @@
 """What sessions that take no part in a fit say of it."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.hypotheses.support import NEVER, When, opened
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, rows_of
 from simgap.diagnosis.likelihood.student_t import log_density
-from simgap.layout import Layout
 
 
 def agrees(gained: Float[np.ndarray, " n"], heldout: float, chunks: Chunks, required: float) -> bool:
@@ -34,8 +30,3 @@ def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
     on = problem._replace(chunks=unseen)
     a, b = (evaluate(on, f.v, (), f.noise).loglik for f in (without, with_it))
     return b - a
-
-
-def seen_at(layout: Layout, unseen: Chunks, supports: Sequence[When]) -> Chunks:
-    """Held-out rows with a gate for each support: never open, where it belongs to a session of training."""
-    return opened(layout, unseen, [NEVER if when.session is not None else when for when in supports])

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.null_distribution import Evidence
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_innovations, side_by_side, with_value
@@ -32,7 +32,7 @@ def own_echoes(problem: Problem, v: Variables, axes: Collection[str] | None = No
     # What acts for a while only hardly changes how a push echoes: the pushes take the place of all supports.
     v = v._replace(delta=np.zeros_like(v.delta[:1]))
     problem = problem._replace(chunks=problem.chunks._replace(gate=problem.chunks.gate[:, :1]))
-    drifts = [c for c in candidates(problem.augmented, problem.scales) if c.effect.id in DRIFTS]
+    drifts = [c for c in hypotheses_of(problem.augmented, problem.scales) if c.effect.id in DRIFTS]
     still = raw_innovations(problem, v)
     drifts = [c for c in drifts if len(c.sites) == 1 and (axes is None or c.where in axes)]
     return {c.where: _echo(problem, v, still, c.groups[0], c.starts[0][0]) for c in drifts}

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.config import LEAST_SHARE
-from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import CONVERGED, optimise
 from simgap.diagnosis.inference.score_test import Screening
 from simgap.diagnosis.likelihood.derivatives import constant_columns
@@ -17,7 +17,7 @@ from simgap.diagnosis.likelihood.student_t import log_density
 SETTLED = 1.0
 SETTLED_SHARE = 0.01
 """Nats, and share of a hypothesis' gain, that decide nothing beside it."""
-Say = Callable[[str], None]
+Reporter = Callable[[str], None]
 """`say(line)`: what is being tried."""
 
 
@@ -29,14 +29,14 @@ class Model(NamedTuple):
     nuisance: Float[np.ndarray, "M n s"]
 
 
-class Tried(NamedTuple):
+class Trial(NamedTuple):
     """A hypothesis with its constants fitted: gain in log-likelihood over the model without it [nats].
 
     Without a change since a baseline, the effect may be there all along: `without` has its twin fitted. expected: what
     the screening expects it to gain. share: of its gain, what the misfit of the effects before it would not explain.
     """
 
-    candidate: Candidate
+    hypothesis: Hypothesis
     fit: Fit
     without: Fit
     gain: float
@@ -44,9 +44,9 @@ class Tried(NamedTuple):
     share: float = 1.0
 
     @staticmethod
-    def of(candidate: Candidate, fit: Fit, without: Fit, expected: float = 0.0, share: float = 1.0) -> "Tried":
+    def of(hypothesis: Hypothesis, fit: Fit, without: Fit, expected: float = 0.0, share: float = 1.0) -> "Trial":
         """With the gain that the two fits make."""
-        return Tried(candidate, fit, without, fit.loglik - without.loglik, expected, share)
+        return Trial(hypothesis, fit, without, fit.loglik - without.loglik, expected, share)
 
     @property
     def beyond(self) -> float:
@@ -61,12 +61,12 @@ class Tried(NamedTuple):
         """
         return max(self.gain, self.expected)
 
-    def further(self, fit_further: Callable[[Fit], Fit]) -> "Tried":
+    def further(self, fit_further: Callable[[Fit], Fit]) -> "Trial":
         """Fitted on."""
-        return Tried.of(self.candidate, fit_further(self.fit), self.without, self.expected, self.share)
+        return Trial.of(self.hypothesis, fit_further(self.fit), self.without, self.expected, self.share)
 
 
-Helps = Callable[[Problem, Tried, float], bool]
+HeldOutCheck = Callable[[Problem, Trial, float], bool]
 """Whether sessions that take no part agree that an effect is there, which must gain so many nats."""
 
 
@@ -74,7 +74,7 @@ class Round(NamedTuple):
     """One search for one more effect: the screening, the hypotheses that were fitted, best first, and the addition."""
 
     screening: Screening
-    tried: list[Tried]
+    tried: list[Trial]
     accepted: str | None = None
 
     @property
@@ -88,7 +88,7 @@ class Found(NamedTuple):
 
     base: Fit
     model: Model
-    chosen: list[Candidate]
+    chosen: list[Hypothesis]
     rounds: list[Round]
 
 
@@ -112,7 +112,7 @@ def without(fit: Fit, groups: Sequence[Group]) -> Fit:
     return fit._replace(v=v, groups=tuple(g for g in fit.groups if g not in groups))
 
 
-def lacking(model: Model, effects: Sequence[Candidate], enough: float = CONVERGED) -> Model:
+def refitted_without(model: Model, effects: Sequence[Hypothesis], enough: float = CONVERGED) -> Model:
     """The model without some of its effects, fitted anew until steps gain less than `enough` [nats].
 
     From nominal parameters and gain where the simulator leaves the finite numbers without these effects, and without

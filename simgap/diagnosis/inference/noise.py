@@ -5,14 +5,14 @@ and is claimed where it makes them likelier, block by block, in training and in 
 """
 
 from simgap.diagnosis.config import LIKELY
-from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.noise_rows import of_rows
 from simgap.diagnosis.inference.spectral_line import stepping
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 
 
-def scatter(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None = None) -> list[Scatter]:
+def noise_effects(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None = None) -> list[NoiseEffect]:
     """All effects on the scatter that training and held-out sessions agree on, but for what a baseline has as well."""
     found = [of_rows(problem, fit, unseen), stepping(problem, fit, unseen, before)]
     if before is not None and found[0] is not None:

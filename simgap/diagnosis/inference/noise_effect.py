@@ -59,7 +59,7 @@ class Spectrum(NamedTuple):
     field: Field
 
 
-class Scatter(NamedTuple):
+class NoiseEffect(NamedTuple):
     """An effect on the scatter: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats].
 
     Gains are over the likeliest noise that has no name. rare: it is a matter of single rows. odds: probability of every

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, Scatter
+from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, NoiseEffect
 from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, robot_of, sample_of
 from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
@@ -30,13 +30,13 @@ SPREAD = 0.3
 """Standard deviation of an amplitude, and slope of the noise by the motion, with which their fits begin."""
 
 
-def of_rows(problem: Problem, fit: Fit, unseen: Chunks) -> Scatter | None:
+def of_rows(problem: Problem, fit: Fit, unseen: Chunks) -> NoiseEffect | None:
     """The best word for rows that scatter more than others, if it is better than noise without a name."""
     training, heldout = (sample_of(problem._replace(chunks=c), fit) for c in (problem.chunks, unseen))
     return explained(robot_of(problem), fit.noise, training, heldout)
 
 
-def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> Scatter | None:
+def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> NoiseEffect | None:
     """The same, of samples."""
     groups = (np.arange(len(robot.outputs)), *(b for b in robot.bodies.values() if 0 < len(b) < len(robot.outputs)))
     plain = _fit(OTHER, lambda s: Law(groups, s.e[:0, None]), training, row_mixture.of_plain(noise, groups))
@@ -73,7 +73,7 @@ def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> 
         "motion_dependent_noise": wide_said,
         "sampling_interval": late_said if lead.rare else uneven_said,
     }
-    return Scatter(
+    return NoiseEffect(
         id=lead.id, rare=lead.rare, gain=float(gain.sum()), heldout_gain=held_gain, odds=odds,
         **said[lead.id](robot, training, lead),
     )  # fmt: skip

@@ -15,7 +15,7 @@ from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.library import Function, dictionary, quantities, values
 from simgap.diagnosis.inference.heldout import agrees, by_row
 from simgap.diagnosis.inference.impulse_response import Echo, direction, echoes, evidence, hear
-from simgap.diagnosis.inference.model import Model, Say, absorbing
+from simgap.diagnosis.inference.model import Model, Reporter, absorbing
 from simgap.diagnosis.inference.null_distribution import Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.inference.score_test import basis_of
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
@@ -77,7 +77,7 @@ def no_law(model: Model, unseen: Chunks) -> Law:
     return Law((), model.fit.e, _on(model, unseen).e)
 
 
-def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) -> Law:
+def nonparametric_law(model: Model, unseen: Chunks, rng: np.random.Generator, report: Reporter) -> Law:
     """A law beside the model's effects, if there is one."""
     rows = _rows(model)
     functions = dictionary(quantities(model.problem.augmented.layout), rows.z[np.asarray(model.problem.chunks.counts)])
@@ -85,7 +85,7 @@ def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) ->
     pushable = rows.echoes and functions  # a simulator may declare no body
     while pushable and len(chosen) < MOST_TERMS:
         part, p_value, required = _best(rows, model.fit, functions, chosen, rng)
-        say(f"a law without a name: p = {p_value:.4f}")
+        report(f"a law without a name: p = {p_value:.4f}")
         if p_value > LEVEL:
             break
         held = held or _rows(_there(model, unseen))
@@ -94,9 +94,9 @@ def unnamed(model: Model, unseen: Chunks, rng: np.random.Generator, say: Say) ->
         line = f"{part[0].axis} pushed by {' and '.join(part[0].depends_on)}"
         gained, heldout = (_by_row(model.fit, *pair) for pair in zip(found[1:], better[1:], strict=True))
         if not agrees(gained, float(heldout.sum()) - REQUIRED, model.problem.chunks, required):
-            say(f"{line} does not hold on sessions that took no part")
+            report(f"{line} does not hold on sessions that took no part")
             break
-        say(f"{line} ({gained.sum():+.1f} nats)")
+        report(f"{line} ({gained.sum():+.1f} nats)")
         found = better
     return found
 

@@ -1,6 +1,7 @@
 """Whether effects act throughout, or from a time on, during a stretch of one session, or in a regime."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,18 +9,18 @@ from jaxtyping import Bool, Float
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES
 from simgap.diagnosis.hypotheses.features import of_rows
-from simgap.diagnosis.hypotheses.space import Candidate, behind
-from simgap.diagnosis.hypotheses.support import LASTING, When, in_words, opened
+from simgap.diagnosis.hypotheses.space import Hypothesis, behind
+from simgap.diagnosis.hypotheses.support import ALWAYS, LASTING, Support, Window, for_heldout, in_words, opened
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.gauss_newton import hold, refine
-from simgap.diagnosis.inference.heldout import gain, seen_at
-from simgap.diagnosis.inference.model import Model, Say, lacking, without
+from simgap.diagnosis.inference.heldout import gain
+from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, without
 from simgap.diagnosis.inference.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.inference.scan import gain_of, narrowest, onset, scores, stretch
 from simgap.diagnosis.inference.score_test import Screened, Screening, vary
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.segments import Chunks, Rows, rows_of
-from simgap.effects.regime import features
+from simgap.effects.regime import Regime, features
 
 LATER = tuple(np.arange(0.0, 0.95, 0.15))
 """Shares of a session after which an effect may begin, where it is first looked for."""
@@ -31,65 +32,65 @@ class _Restriction(NamedTuple):
     """When a hypothesis may act, what that promises over the members as they are [nats], and the model it is in."""
 
     promise: float
-    when: When
-    candidate: Candidate
+    support: Support
+    hypothesis: Hypothesis
     model: Model
 
 
-def acts_when(
-    model: Model, members: tuple[Member, ...], supports: Sequence[When], unseen: Chunks, say: Say
-) -> When | None:
+def restriction(
+    model: Model, members: tuple[Member, ...], supports: Sequence[Support], unseen: Chunks, report: Reporter
+) -> Support | None:
     """When the first effect acts that fits better from a time on, during a stretch of one session, or in a regime.
 
     Of the effects that act throughout as yet; others have their `supports`, and what these gain may owe to misfit of
     their laws. None if none does. A regime is a law of the robot's, to which held-out sessions must agree.
     """
     problem, layout = model.problem, model.problem.augmented.layout
-    throughout = tuple(m for m in members if m.when is None)
-    misfit = LEAST_SHARE * sum(m.gain for m in members if m.when is not None)
-    for hypotheses in _ways(model, throughout):
+    throughout = tuple(m for m in members if m.hypothesis.support == ALWAYS)
+    misfit = LEAST_SHARE * sum(m.gain for m in members if m.hypothesis.support != ALWAYS)
+    for ways in _ways(model, throughout):
         # Those with shapes have an onset of their own.
-        free = [(m, c) for m, c in hypotheses if not any(constant.shapes for constant in c.effect.constants)]
+        free = [(m, c) for m, c in ways if not any(constant.shapes for constant in c.effect.constants)]
         tried = [r for m, c in free for r in _restrictions(m, c, model.fit.loglik)]
-        best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
-        if best is None or best.promise <= _owed(best.when) + misfit:
+        best = max(tried, key=lambda r: r.promise - required_gain(r.support), default=None)
+        if best is None or best.promise <= required_gain(best.support) + misfit:
             continue
-        restricted = _behind(with_support(best.model, supports, best.when), best.candidate)
+        restricted = _behind(with_support(best.model, supports, best.support), best.hypothesis, best.support)
         more = restricted.loglik - model.fit.loglik
-        seen = seen_at(layout, unseen, [*supports, best.when])
-        if more > _owed(best.when) + misfit and (
-            best.when.regime is None or gain(problem, seen, model.fit, restricted) > 0
+        seen = for_heldout(layout, unseen, [*supports, best.support])
+        if more > required_gain(best.support) + misfit and (
+            not isinstance(best.support, Regime) or gain(problem, seen, model.fit, restricted) > 0
         ):
-            say(f"{best.candidate.name} acts {in_words(layout, best.when)} ({more:+.1f} nats)")
-            return best.when
+            report(f"{best.hypothesis.name} acts {in_words(layout, best.support)} ({more:+.1f} nats)")
+            return best.support
     return None
 
 
-def _ways(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Candidate]]]:
+def _ways(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Hypothesis]]]:
     """What may be restricted: the first member alone, for the others may do no more than undo it where it does not act;
     then every member among the others, with its nearest rival, which it may beat for acting throughout only."""
     if len(members) > 1:
-        first, *others = (m.candidate for m in members)
-        yield [(lacking(model, others), first)]
+        first, *others = (m.hypothesis for m in members)
+        yield [(refitted_without(model, others), first)]
     for m in members:
-        hypotheses = [(model, m.candidate)]
+        ways = [(model, m.hypothesis)]
         if m.rival is not None:
             fit = evaluate(model.problem, m.rival.fit.v, m.rival.fit.groups)
-            hypotheses.append((model._replace(fit=fit), m.rival.candidate))
-        yield hypotheses
+            ways.append((model._replace(fit=fit), m.rival.hypothesis))
+        yield ways
 
 
-def _restrictions(model: Model, candidate: Candidate, loglik: float) -> list[_Restriction]:
+def _restrictions(model: Model, hypothesis: Hypothesis, loglik: float) -> list[_Restriction]:
     """From a time on, during a stretch, in a regime: a hypothesis fitted as if it acted throughout."""
     problem, fit, _ = model
-    rows, found = rows_of(problem.chunks), _apart(problem, candidate)
-    score, power = scores(fit, evaluate(problem, without(fit, candidate.groups).v, (), fit.noise).e, fit.e)
+    rows, found = rows_of(problem.chunks), _apart(problem, hypothesis)
+    score, power = scores(fit, evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise).e, fit.e)
     from_on, a = onset(rows, score, power)
     during, b = stretch(rows, score, power, LASTING)
     regime, c = narrowest(found, score, power, LEAST_SHARE)
     throughout, ahead = float(gain_of(score.sum(), power.sum())), fit.loglik - loglik
-    whens = ((from_on, a), (during, b - throughout), (When(regime=regime), c))
-    return [_Restriction(ahead + more, when, candidate, model) for when, more in whens]
+    supports = ((from_on, a), (during, b - throughout), (regime, c))
+    return [_Restriction(ahead + more, support, hypothesis, model) for support, more in supports]
 
 
 class _Look(NamedTuple):
@@ -100,7 +101,9 @@ class _Look(NamedTuple):
     regime: bool = False
 
 
-def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Say) -> When | None:
+def hidden_restriction(
+    model: Model, screening: Screening, rng: np.random.Generator, report: Reporter
+) -> Support | None:
     """From when on, or in which regime, an effect acts that is nothing over all rows; None if by chance.
 
     The screening's hypotheses are weighed anew over what comes after some times, and above and below some edges.
@@ -114,7 +117,7 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
     each = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]
     weighed = Weighed(*(np.concatenate(fields) for fields in zip(*each, strict=True)))
     p_value, threshold = by_chance(weighed, LEVEL, rng)
-    say(f"the same from a time on, or in a regime: p = {p_value:.4f}")
+    report(f"the same from a time on, or in a regime: p = {p_value:.4f}")
     statistic, of_regimes = weighed.statistic.reshape(len(looks), -1), np.array([look.regime for look in looks])
     tried = []
     for kind in (of_regimes, ~of_regimes):  # what acts from a time on shows in some regimes, and the other way round
@@ -122,46 +125,46 @@ def begins(model: Model, screening: Screening, rng: np.random.Generator, say: Sa
         if among.max() >= threshold:
             which, best = divmod(int(among.argmax()), len(score))
             tried.append(_begun(model, screening.found[best], looks[which]))
-    best = max(tried, key=lambda r: r.promise - _owed(r.when), default=None)
-    if best is None or best.promise <= _owed(best.when):
+    best = max(tried, key=lambda r: r.promise - required_gain(r.support), default=None)
+    if best is None or best.promise <= required_gain(best.support):
         return None
-    say(f"{best.candidate.name} acts {in_words(problem.augmented.layout, best.when)} ({best.promise:+.1f} nats)")
-    return best.when
+    report(f"{best.hypothesis.name} acts {in_words(problem.augmented.layout, best.support)} ({best.promise:+.1f} nats)")
+    return best.support
 
 
-def _begun(model: Model, hypothesis: Screened, look: _Look) -> _Restriction:
+def _begun(model: Model, screened: Screened, look: _Look) -> _Restriction:
     """When a hypothesis acts that shows in a look: it promises what it gains there, if the restriction is worth it."""
     problem, fit, nuisance = model
-    evidence = scores(fit, fit.e, trials(problem, [vary(fit.v, hypothesis.candidate, hypothesis.start)])[0])
+    evidence = scores(fit, fit.e, trials(problem, [vary(fit.v, screened.hypothesis, screened.start)])[0])
     if look.regime:
-        regime, more = narrowest(_apart(problem, hypothesis.candidate), *evidence, LEAST_SHARE)
-        when = When(regime=regime)
+        support, more = narrowest(_apart(problem, screened.hypothesis), *evidence, LEAST_SHARE)
     else:
         rows = rows_of(problem.chunks)
-        when, more = onset(rows, *evidence, look.session)
-        if look.session is not None:  # to its end
-            last = rows.time_s[rows.session == look.session].max()
-            when = when._replace(to_s=float(last) + problem.scales.time_step)
-    if more <= _owed(when):
-        return _Restriction(0.0, when, hypothesis.candidate, model)
-    there, candidate = with_support(model, [], when), behind(hypothesis.candidate, 1)
+        support, more = onset(rows, *evidence, look.session)
+        if isinstance(support, Window):  # to its end
+            last = rows.time_s[rows.session == support.session].max()
+            support = replace(support, to_s=float(last) + problem.scales.time_step)
+    if more <= required_gain(support):
+        return _Restriction(0.0, support, screened.hypothesis, model)
+    there, hypothesis = with_support(model, [], support), behind(screened.hypothesis, support, 1)
     begun = evaluate(
-        there.problem, vary(there.fit.v, candidate, hypothesis.start), (*fit.groups, *candidate.groups), fit.noise
+        there.problem, vary(there.fit.v, hypothesis, screened.start), (*fit.groups, *hypothesis.groups), fit.noise
     )
     return _Restriction(
-        refine(there.problem, begun, hold(fit, nuisance), 4).loglik - fit.loglik, when, candidate, model
+        refine(there.problem, begun, hold(fit, nuisance), 4).loglik - fit.loglik, support, hypothesis, model
     )
 
 
-def _owed(when: When) -> float:
-    return REQUIRED if when.regime is None else REQUIRED_OF_REGIMES
+def required_gain(support: Support) -> float:
+    """Least gain [nats] of a restriction to a support."""
+    return REQUIRED_OF_REGIMES if isinstance(support, Regime) else REQUIRED
 
 
-def _apart(problem: Problem, candidate: Candidate) -> Float[np.ndarray, "n f"]:
+def _apart(problem: Problem, hypothesis: Hypothesis) -> Float[np.ndarray, "n f"]:
     """The features of every row, those of the commands that the effect acts on made one value: an effect that differs
     with its own command is no other regime but another law."""
     layout = problem.augmented.layout
-    own = [c for c in (f.name for f in layout.schema.command) if c in (*candidate.channels, *candidate.where.split())]
+    own = [c for c in (f.name for f in layout.schema.command) if c in (*hypothesis.channels, *hypothesis.where.split())]
     told_by = np.array([f.name.strip("|") in own for f in features(layout)])
     return np.where(told_by, 0.0, of_rows(layout, problem.chunks))
 
@@ -183,21 +186,21 @@ def _beyond(found: Float[np.ndarray, "n f"]) -> Iterator[_Look]:
             yield _Look(column <= edge, regime=True)
 
 
-def with_support(model: Model, supports: Sequence[When], when: When) -> Model:
+def with_support(model: Model, supports: Sequence[Support], support: Support) -> Model:
     """The model with one more support than it has, in which nothing acts yet."""
     problem, fit, nuisance = model
-    supports = [*supports, when]
+    supports = [*supports, support]
     chunks = opened(problem.augmented.layout, problem.chunks, supports)
     delta = np.zeros((len(supports), fit.v.delta.shape[1]), np.float32)
     delta[: len(supports) - 1] = fit.v.delta[: len(supports) - 1]
     return Model(problem._replace(chunks=chunks), fit._replace(v=fit.v._replace(delta=delta)), nuisance)
 
 
-def _behind(model: Model, throughout: Candidate) -> Fit:
+def _behind(model: Model, throughout: Hypothesis, support: Support) -> Fit:
     """The fit with an effect's constants moved behind the last support."""
     problem, fit, nuisance = model
-    candidate = behind(throughout, len(fit.v.delta))
+    hypothesis = behind(throughout, support, len(fit.v.delta))
     constants = [float(fit.v.theta[g.entries[0]]) for g in throughout.groups]
     rest = without(fit, throughout.groups)
-    begun = evaluate(problem, vary(rest.v, candidate, constants), (*rest.groups, *candidate.groups), fit.noise)
+    begun = evaluate(problem, vary(rest.v, hypothesis, constants), (*rest.groups, *hypothesis.groups), fit.noise)
     return refine(problem, begun, hold(fit, nuisance), 4)

@@ -7,7 +7,7 @@ import numpy as np
 
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.model import Model, Say, lacking, settled
+from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, settled
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relinearise import itself
 from simgap.diagnosis.likelihood.problem import evaluate
@@ -23,7 +23,7 @@ PASSES = 3
 
 
 def explained(
-    simulator: StepModel | Engine, sessions: Sessions, rng: np.random.Generator, say: Say
+    simulator: StepModel | Engine, sessions: Sessions, rng: np.random.Generator, report: Reporter
 ) -> tuple[Explanation, Sessions]:
     """The explanation that a simulator's tables and the simulator itself agree on, and the sessions with estimates of
     the states that they lack; arguments and errors as in `diagnose`."""
@@ -33,19 +33,19 @@ def explained(
         before = found
         if before is not None:
             sessions = _estimated(layout, before, sessions)
-            say(f"pass {number}: the engine where the last pass led" if is_engine(simulator) else f"pass {number}")
-        found = explain(simulator, sessions, rng, say, before=before)
+            report(f"pass {number}: the engine where the last pass led" if is_engine(simulator) else f"pass {number}")
+        found = explain(simulator, sessions, rng, report, before=before)
         if layout.observed.all() and (not is_engine(simulator) or agrees(found)):
             break
         if before is not None and _same(before, found) and agrees(found):
             break
     assert found is not None  # there is a first pass
-    return confirmed(found, say), sessions
+    return confirmed(found, report), sessions
 
 
 def _same(before: Explanation, found: Explanation) -> bool:
     """Whether two passes name the same effects at the same places."""
-    return {m.candidate.name for m in before.members} == {m.candidate.name for m in found.members}
+    return {m.hypothesis.name for m in before.members} == {m.hypothesis.name for m in found.members}
 
 
 def agrees(found: Explanation) -> bool:
@@ -55,7 +55,7 @@ def agrees(found: Explanation) -> bool:
     return abs(loglik - found.fit.loglik) <= settled(gain)
 
 
-def confirmed(found: Explanation, say: Say) -> Explanation:
+def confirmed(found: Explanation, report: Reporter) -> Explanation:
     """Without the effects that an engine itself does not bear out, though its tables do."""
     if not is_engine(found.problem.augmented.simulator) or not found.members:
         return found
@@ -66,8 +66,8 @@ def confirmed(found: Explanation, say: Say) -> Explanation:
     if not weak:
         return found
     for m in weak:
-        say(f"{m.candidate.name} does not stand: the engine itself does not agree with its tables")
-    model = lacking(Model(found.problem, found.fit, np.empty(0)), [m.candidate for m in weak])
+        report(f"{m.hypothesis.name} does not stand: the engine itself does not agree with its tables")
+    model = refitted_without(Model(found.problem, found.fit, np.empty(0)), [m.hypothesis for m in weak])
     members = tuple(m for m in found.members if m not in weak)
     return found._replace(fit=model.fit, sd=spread(*model), members=members)
 

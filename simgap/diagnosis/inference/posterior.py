@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.config import LEAST_SHARE
-from simgap.diagnosis.hypotheses.space import Candidate, unit_of
-from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
+from simgap.diagnosis.hypotheses.support import Window
 from simgap.diagnosis.inference.model import without
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.scan import edges_ci95, scores
@@ -73,13 +73,13 @@ def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
     return said
 
 
-def differs_from_zero(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, deviations: float = Z95) -> bool:
+def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, deviations: float = Z95) -> bool:
     """Whether an amplitude of the effect is at least `deviations` standard deviations from zero, and all constants are
     plausible: no larger than credible, and not at a bound (bounds lie beyond what a robot does)."""
     differs = False
-    for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
+    for constant, group in zip(hypothesis.effect.constants, hypothesis.groups, strict=True):
         value = abs(value_of(fit.v, group))
-        credible = min(constant.credible(site, problem.scales) for site in candidate.sites)
+        credible = min(constant.credible(site, problem.scales) for site in hypothesis.sites)
         if value > credible or _at_end(problem, fit, group):
             return False
         differs |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
@@ -94,7 +94,7 @@ def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
     return bool(np.any(np.isfinite(ends) & (ends != 0) & (np.abs(value - ends) <= EDGE * np.abs(ends))))
 
 
-def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> list[dict]:
+def constants(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, gain: float) -> list[dict]:
     """The physical constants of an effect that gains so many nats, with units and 95 % intervals.
 
     They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
@@ -102,26 +102,26 @@ def constants(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain
     Of an effect that changed since a baseline they are of the change: 0.07 s where a delay of 0.03 s became 0.10 s.
     """
     found, deviations = [], _deviations(gain)
-    for constant, group in zip(candidate.effect.constants, candidate.groups, strict=True):
+    for constant, group in zip(hypothesis.effect.constants, hypothesis.groups, strict=True):
         # Where a support is open both act: what holds everywhere and what is added there.
         before = float(fit.v.theta[group.entries[0]]) if group.support else 0.0
         c = value_of(fit.v, group)
         width = deviations * float(sd.constants[fit.groups.index(group)])
-        physical = partial(_physical, problem, candidate.sites[0], constant, group)
+        physical = partial(_physical, problem, hypothesis.sites[0], constant, group)
         nil = physical(0.0)
         # A limit, which is infinite where there is none, has no change.
-        offset = nil - physical(before) if candidate.twin and not constant.shapes and np.isfinite(nil) else 0.0
+        offset = nil - physical(before) if hypothesis.twin and not constant.shapes and np.isfinite(nil) else 0.0
         value, *ends = (physical(before + x) + offset for x in (c, c - width, c + width))
-        unit = unit_of(problem.augmented, candidate, constant)
+        unit = unit_of(problem.augmented, hypothesis, constant)
         found.append({"name": constant.name, "value": value, "unit": unit, "ci95": sorted(ends)})
     return found
 
 
-def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gain: float) -> bool:
+def determined(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, gain: float) -> bool:
     """Whether the recordings determine the constants of an effect that gains `gain` nats: no interval is empty or the
     whole range, and no constant is at a bound other than zero."""
     low, high = problem.augmented.bounds
-    for group in candidate.groups:
+    for group in hypothesis.groups:
         c = value_of(fit.v, group)
         width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
         whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
@@ -130,15 +130,15 @@ def determined(problem: Problem, fit: Fit, candidate: Candidate, sd: Spread, gai
     return True
 
 
-def edges(problem: Problem, fit: Fit, candidate: Candidate, when: When) -> list[dict]:
+def edges(problem: Problem, fit: Fit, hypothesis: Hypothesis, window: Window) -> list[dict]:
     """Beginning and end [s] of an effect that acts during a stretch of one session, with 95 % intervals."""
     everywhere = problem._replace(chunks=problem.chunks._replace(gate=np.ones_like(problem.chunks.gate)))
-    bare = evaluate(problem, without(fit, candidate.groups).v, (), fit.noise)
+    bare = evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise)
     evidence = scores(fit, bare.e, trials(everywhere, [fit.v])[0])
-    intervals = edges_ci95(rows_of(problem.chunks), when, *evidence)
+    intervals = edges_ci95(rows_of(problem.chunks), window, *evidence)
     return [
         {"name": name, "value": value, "unit": "s", "ci95": list(interval)}
-        for name, value, interval in zip(("from", "to"), (when.from_s, when.to_s), intervals, strict=True)
+        for name, value, interval in zip(("from", "to"), (window.from_s, window.to_s), intervals, strict=True)
     ]
 
 

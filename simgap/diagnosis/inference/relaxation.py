@@ -14,9 +14,9 @@ from jaxtyping import Float, Int
 from simgap.diagnosis.config import DISCREPANCY
 from simgap.diagnosis.hypotheses.library import dictionary, quantities, sent_until, values
 from simgap.diagnosis.hypotheses.place import Place, place_of
-from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.impulse_response import direction, own_echoes
-from simgap.diagnosis.inference.model import Model, Tried, absorbing, without
+from simgap.diagnosis.inference.model import Model, Trial, absorbing, without
 from simgap.diagnosis.inference.score_test import DEPENDENT, basis_of
 from simgap.diagnosis.likelihood.problem import Group, Problem, trials
 from simgap.diagnosis.likelihood.segments import rows_of
@@ -45,7 +45,7 @@ class Room(NamedTuple):
         """Both."""
         return np.concatenate([self.free, self.misfit], axis=1)
 
-    def judged(self, tried: Tried) -> Tried:
+    def judged(self, tried: Trial) -> Trial:
         """With the share of its gain that misfit would not explain."""
         if not self.misfit.shape[1]:
             return tried
@@ -60,7 +60,7 @@ def _gain(d: Float[np.ndarray, " m"], residual: Float[np.ndarray, " m"], basis: 
     return 0.5 * float(d @ residual) ** 2 / max(float(d @ d), NOTHING)
 
 
-def room(model: Model, columns: Float[np.ndarray, "M n s"], effects: Sequence[Candidate]) -> Room:
+def room(model: Model, columns: Float[np.ndarray, "M n s"], effects: Sequence[Hypothesis]) -> Room:
     """Of a model with what is free in it, and its effects."""
     fit = model.fit
     root = np.sqrt(weights(fit.e, fit.noise)).astype(np.float32)
@@ -70,7 +70,7 @@ def room(model: Model, columns: Float[np.ndarray, "M n s"], effects: Sequence[Ca
 
 
 def relaxations(
-    model: Model, effects: Sequence[Candidate], root: Float[np.ndarray, "n s"]
+    model: Model, effects: Sequence[Hypothesis], root: Float[np.ndarray, "n s"]
 ) -> Float[np.ndarray, "K n s"]:
     """Directions in which the innovations may deviate from the effects' laws, each by about one."""
     problem, fit, _ = model
@@ -102,7 +102,7 @@ def _sized(
     return columns * np.where(size > NOTHING, most / np.maximum(size, NOTHING), 0.0)[:, None, None]
 
 
-def _alone(problem: Problem, effect: Candidate) -> list[tuple[tuple[Group, ...], Place]]:
+def _alone(problem: Problem, effect: Hypothesis) -> list[tuple[tuple[Group, ...], Place]]:
     """Each site's own share of the constants, and where it is."""
     augmented = problem.augmented
     sites = augmented.sites[augmented.catalogue.index(effect.effect)]
@@ -153,7 +153,7 @@ def softly(columns: Float[np.ndarray, "K m"], basis: Float[np.ndarray, "m r"]) -
     return columns.T @ (axes * taken / np.sqrt(squared)).astype(np.float32)
 
 
-def misfits(model: Model, effects: Sequence[Candidate]) -> list[float]:
+def misfits(model: Model, effects: Sequence[Hypothesis]) -> list[float]:
     """What each of a model's effects would gain in addition [nats] if its law could bend, less what chance gives.
 
     Bending beyond the law's own size is unlikely by the prior, and gains no more than that allows.

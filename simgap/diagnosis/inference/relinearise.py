@@ -3,7 +3,7 @@
 import numpy as np
 
 from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import SETTLED, Model, Tried
+from simgap.diagnosis.inference.model import SETTLED, Model, Trial
 from simgap.diagnosis.likelihood.directions import bounds_of
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import NEAR, Fit, Problem, evaluate, value_of, with_value
@@ -39,24 +39,24 @@ def standing(problem: Problem) -> Problem:
     return problem._replace(reach=0.0) if is_engine(problem.augmented.simulator) else problem
 
 
-def carried_on(problem: Problem, tried: Tried, without: Fit) -> tuple[Problem, Tried]:
+def carried_on(problem: Problem, tried: Trial, without: Fit) -> tuple[Problem, Trial]:
     """A hypothesis with tables of its own, and its gain over the model without it."""
     if not is_engine(problem.augmented.simulator):
         return problem, tried
     fit = tried.fit
-    if tried.candidate.effect.place == "engine":
+    if tried.hypothesis.effect.place == "engine":
         # First with the parameters held: they would make up for a size that is not found yet, and stay there.
         problem, fit = relinearised(problem, _sized(problem, tried), reach=0.0)
     problem, fit = relinearised(problem, fit)
-    return problem, Tried.of(tried.candidate, fit, without, tried.expected, tried.share)
+    return problem, Trial.of(tried.hypothesis, fit, without, tried.expected, tried.share)
 
 
-def _sized(problem: Problem, tried: Tried) -> Fit:
+def _sized(problem: Problem, tried: Trial) -> Fit:
     """The fit with the constants of an engine's own effect at the share of them that the engine itself likes best.
 
     A limit is far from linear: tables that know it at one size lead to another that is far too tight or too loose.
     """
-    engine, groups = itself(problem), tried.candidate.groups
+    engine, groups = itself(problem), tried.hypothesis.groups
     fits = []
     for share in SIZES:
         v = tried.fit.v

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.hypotheses.support import PUSH, When, elsewhere
+from simgap.diagnosis.hypotheses.support import PUSH, From, Window, elsewhere
 from simgap.diagnosis.likelihood.problem import Fit
 from simgap.diagnosis.likelihood.segments import Rows
 from simgap.diagnosis.likelihood.student_t import weights
@@ -31,7 +31,7 @@ def scores(
     return -(w * without * d).sum(1), (w * d**2).sum(1)
 
 
-def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None = None) -> tuple[When, float]:
+def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None = None) -> tuple[From | Window, float]:
     """The best time from which an effect acts, in every session or in one, and what the restriction gains [nats].
 
     In one session it may act all the time.
@@ -48,10 +48,11 @@ def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None 
     possible[:-1] &= inside[:-1]
     more = np.where(possible, more, 0.0)
     best = int(more.argmax())
-    return When(session, float(times[best]) if more[best] > 0 else 0.0, np.inf), float(more[best])
+    from_s = float(times[best]) if more[best] > 0 else 0.0
+    return From(from_s) if session is None else Window(session, from_s, np.inf), float(more[best])
 
 
-def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[When, float]:
+def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[Window, float]:
     """The best stretch of at least so many rows of one session, and its gain [nats]."""
     best, where = 0.0, (0, 0, 0)
     for s in np.unique(rows.session):
@@ -65,7 +66,7 @@ def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> 
     time = rows.time_s[mine]
     step = np.median(np.diff(time)) if len(time) > 1 else 0.0
     gain = gain_of(score[mine[start:stop]].sum(), power[mine[start:stop]].sum())
-    return When(s, float(time[start]), float(time[stop - 1] + step)), float(gain)
+    return Window(s, float(time[start]), float(time[stop - 1] + step)), float(gain)
 
 
 def stretch_by_chance(
@@ -76,8 +77,8 @@ def stretch_by_chance(
     The larger of two: what random signs give, extrapolated (the best stretch itself takes no part: if something
     happened there, it is not chance), and what independent stretches would give, which is ln(number / level).
     """
-    when, _ = stretch(rows, score, power, PUSH)
-    score = elsewhere(rows, when, score)
+    window, _ = stretch(rows, score, power, PUSH)
+    score = elsewhere(rows, window, score)
     best = []
     for _ in range(DRAWS):
         sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
@@ -89,7 +90,7 @@ def stretch_by_chance(
 
 
 def edges_ci95(
-    rows: Rows, when: When, score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"]
+    rows: Rows, window: Window, score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """95 % intervals [s] of the beginning and the end of a stretch of one session, by profile likelihood.
 
@@ -97,10 +98,10 @@ def edges_ci95(
     being fitted anew [Hansen 2000, for thresholds]: it is no chi-squared, for an edge moves by whole rows. Scores that
     vary more than they should, over blocks of rows, count for less. Between two rows an edge may lie anywhere.
     """
-    mine = np.flatnonzero(rows.session == when.session)
+    mine = np.flatnonzero(rows.session == window.session)
     time, score, power = rows.time_s[mine], score[mine], power[mine]
     step = float(np.median(np.diff(time)))
-    start, stop = (int(np.searchsorted(time, t - step / 2)) for t in (when.from_s, when.to_s))
+    start, stop = (int(np.searchsorted(time, t - step / 2)) for t in (window.from_s, window.to_s))
     acts = (np.arange(len(time)) >= start) & (np.arange(len(time)) < stop)
     amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
     about = np.add.reduceat(score - np.where(acts, amplitude * power, 0.0), np.arange(0, len(time), CORRELATED))

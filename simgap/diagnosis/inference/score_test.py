@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.config import LEVEL
-from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, side_by_side, trials, with_value
@@ -40,7 +40,7 @@ class Screened(NamedTuple):
     so what the recordings could have shown.
     """
 
-    candidate: Candidate
+    hypothesis: Hypothesis
     start: tuple[float, ...]
     constant: int
     gain: float
@@ -57,7 +57,7 @@ class Screened(NamedTuple):
 class _Direction(NamedTuple):
     """One constant of a hypothesis at its start, the other amplitudes zero."""
 
-    candidate: Candidate
+    hypothesis: Hypothesis
     values: tuple[float, ...]
     constant: int
 
@@ -80,23 +80,23 @@ class Screening(NamedTuple):
     untested: tuple[str, ...]
 
 
-def vary(v: Variables, candidate: Candidate, constants: Sequence[float]) -> Variables:
-    """v with the candidate's constants set."""
-    for group, value in zip(candidate.groups, constants, strict=True):
+def vary(v: Variables, hypothesis: Hypothesis, constants: Sequence[float]) -> Variables:
+    """v with the hypothesis's constants set."""
+    for group, value in zip(hypothesis.groups, constants, strict=True):
         v = with_value(v, group, value)
     return v
 
 
-def _directions(candidates: Sequence[Candidate]) -> list[_Direction]:
+def _directions(hypotheses: Sequence[Hypothesis]) -> list[_Direction]:
     """Every constant of every hypothesis at all of its starts, shapes at their start as well."""
     found = []
-    for candidate in candidates:
-        shapes = [c.shapes for c in candidate.effect.constants]
-        for start in candidate.starts:
+    for hypothesis in hypotheses:
+        shapes = [c.shapes for c in hypothesis.effect.constants]
+        for start in hypothesis.starts:
             for k, shape in enumerate(shapes):
                 if not shape:
                     values = tuple(v if j == k or shapes[j] else 0.0 for j, v in enumerate(start))
-                    found.append(_Direction(candidate, values, k))
+                    found.append(_Direction(hypothesis, values, k))
     return found
 
 
@@ -104,7 +104,7 @@ def screen(
     problem: Problem,
     fit: Fit,
     basis: Float[np.ndarray, "m r"],
-    candidates: Sequence[Candidate],
+    hypotheses: Sequence[Hypothesis],
     rng: np.random.Generator,
 ) -> Screening:
     """Test all hypotheses against the fitted model, at `LEVEL`; `absorbed` as `beyond` gives it."""
@@ -118,7 +118,7 @@ def screen(
 
     def batch(some: Sequence[_Direction]) -> list[_Tested]:
         """Scores and powers of directions, but of those whose start explodes."""
-        vs = [vary(fit.v, candidate, values) for candidate, values, _ in some]
+        vs = [vary(fit.v, hypothesis, values) for hypothesis, values, _ in some]
         with np.errstate(over="ignore", invalid="ignore"):
             change = trials(problem, vs) - fit.e
             d = change.reshape(len(some), -1) * root
@@ -134,22 +134,22 @@ def screen(
 
     def summed(results: Sequence[_Tested]) -> tuple[Evidence, Weighed, list[Screened]]:
         score, power = (np.array([t[i] for t in results]).reshape(len(results), len(fit.e)) for i in (1, 2))
-        two_sided = [low[d.candidate.groups[d.constant].entries[0]] < 0 for d, *_ in results]
+        two_sided = [low[d.hypothesis.groups[d.constant].entries[0]] < 0 for d, *_ in results]
         evidence = Evidence(score, power, np.array(two_sided, bool))
         weighed = weigh(evidence, starts)
         return evidence, weighed, [_screened(d, evidence, weighed, i) for i, (d, *_) in enumerate(results)]
 
-    results = tested(_directions(candidates))
+    results = tested(_directions(hypotheses))
     for _ in range(CLOSER):
         # Where it stands a strong effect is another direction than near nil, and so is a limit than one a little
         # further out: what a direction misses of it counts as noise.
         *_, found = summed(results)
-        results += tested([d for starts in _most_promising(found) for d in closer(starts, candidates)])
+        results += tested([d for starts in _most_promising(found) for d in closer(starts, hypotheses)])
     evidence, weighed, found = summed(results)
     best_first = np.argsort(-weighed.gain, kind="stable")
     evidence = Evidence(*(a[best_first] for a in evidence))
-    known = {s.candidate.name for s in found}
-    untested = tuple(c.name for c in candidates if c.name not in known)
+    known = {s.hypothesis.name for s in found}
+    untested = tuple(c.name for c in hypotheses if c.name not in known)
     return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, LEVEL, rng), untested)
 
 
@@ -167,14 +167,14 @@ def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
     what is near such a law's summit but not on it has little of its gain."""
     tested: dict[tuple[str, int, bool, int], list[Screened]] = {}
     for s in sorted(found, key=lambda s: -s.gain):
-        candidate = s.candidate
-        key = (candidate.name, candidate.groups[0].support, bool(candidate.twin), s.constant)
+        hypothesis = s.hypothesis
+        key = (hypothesis.name, hypothesis.groups[0].support, bool(hypothesis.twin), s.constant)
         tested.setdefault(key, []).append(s)
-    smooth, jagged = ([t for t in tested.values() if t[0].candidate.effect.jagged == j] for j in (False, True))
+    smooth, jagged = ([t for t in tested.values() if t[0].hypothesis.effect.jagged == j] for j in (False, True))
     return [*smooth[:PROMISING], *jagged[:PROMISING]]
 
 
-def closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[_Direction]:
+def closer(tested: Sequence[Screened], hypotheses: Sequence[Hypothesis]) -> list[_Direction]:
     """A hypothesis where its best start led to, or between that start and those beside it.
 
     Of a jagged law, whose summits are narrow: also at some of its sites alone, whose own starts may lie beside the
@@ -183,29 +183,29 @@ def closer(tested: Sequence[Screened], candidates: Sequence[Candidate]) -> list[
     best, k = tested[0], tested[0].constant
     values = sorted({s.start[k] for s in tested})
     # One value is left as well where the model explodes at all others.
-    if in_proportion(best.candidate, k) or len(values) == 1:
-        return [_Direction(best.candidate, best.start, k)]
+    if in_proportion(best.hypothesis, k) or len(values) == 1:
+        return [_Direction(best.hypothesis, best.start, k)]
     i = values.index(best.start[k])
     ratios = [later / value for value, later in pairwise(values)]
     ratios = [ratios[0], *ratios, ratios[-1]]
     shares = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
     between = [values[i] * ratio**share for ratio in (1 / ratios[i], ratios[i + 1]) for share in shares]
-    there = [best.candidate]
-    if best.candidate.effect.jagged:
-        there += [c for c in candidates if _part(c, best.candidate)]
+    there = [best.hypothesis]
+    if best.hypothesis.effect.jagged:
+        there += [c for c in hypotheses if _part(c, best.hypothesis)]
         between += [best.start[k] / n for n in (1, *MULTIPLES)]
     return [_Direction(c, (*best.start[:k], float(v), *best.start[k + 1 :]), k) for c in there for v in between]
 
 
-def _part(candidate: Candidate, of: Candidate) -> bool:
+def _part(hypothesis: Hypothesis, of: Hypothesis) -> bool:
     """Whether a hypothesis is that of the same law at some of its sites."""
-    alike = candidate.effect is of.effect and candidate.groups[0].support == of.groups[0].support
-    return alike and bool(candidate.twin) == bool(of.twin) and set(candidate.sites) < set(of.sites)
+    alike = hypothesis.effect is of.effect and hypothesis.groups[0].support == of.groups[0].support
+    return alike and bool(hypothesis.twin) == bool(of.twin) and set(hypothesis.sites) < set(of.sites)
 
 
-def in_proportion(candidate: Candidate, k: int) -> bool:
+def in_proportion(hypothesis: Hypothesis, k: int) -> bool:
     """Whether a law is in proportion to its constant, or nearly: one start of it is enough then."""
-    return len({start[k] for start in candidate.starts}) == 1
+    return len({start[k] for start in hypothesis.starts}) == 1
 
 
 def _beyond_twin(
@@ -216,7 +216,7 @@ def _beyond_twin(
     root: np.ndarray,
 ) -> Float[np.ndarray, "k m"]:
     """Directions less their part along the same effect acting everywhere, for hypotheses that have such a twin."""
-    have = [i for i, (candidate, _, _) in enumerate(some) if candidate.twin]
+    have = [i for i, (hypothesis, _, _) in enumerate(some) if hypothesis.twin]
     if not have:
         return d
     twins = [vary(fit.v, c._replace(groups=c.twin), values) for c, values, _ in (some[i] for i in have)]
@@ -227,11 +227,11 @@ def _beyond_twin(
 
 
 def _screened(direction: _Direction, evidence: Evidence, weighed: Weighed, i: int) -> Screened:
-    candidate, values, k = direction
+    hypothesis, values, k = direction
     share = 1.0
     # A law in proportion to its constant can start where the data would have it.
-    if in_proportion(candidate, k) and weighed.gain[i] > 0:
+    if in_proportion(hypothesis, k) and weighed.gain[i] > 0:
         share = float(np.clip(weighed.amplitude[i], -3, 3))
     start = tuple(v * share if j == k else v for j, v in enumerate(values))
     power = 0.5 * float(evidence.power[i].sum())
-    return Screened(candidate, start, k, float(weighed.gain[i]), float(weighed.statistic[i]), power, values[k])
+    return Screened(hypothesis, start, k, float(weighed.gain[i]), float(weighed.statistic[i]), power, values[k])

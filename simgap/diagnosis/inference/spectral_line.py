@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit
 
 from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, Scatter, Spectrum
+from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, NoiseEffect, Spectrum
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
 
@@ -34,7 +34,7 @@ class _Pieces(NamedTuple):
         return (np.abs(np.fft.rfft(self.e, axis=1)) ** 2).sum(0) / POWER
 
 
-def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) -> Scatter | None:
+def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) -> NoiseEffect | None:
     """A peak in the periodogram of an output's innovations, over the level of its neighbours.
 
     A robot that steps does so with the force and at the rate that its way asks for: what is new exceeds the strongest
@@ -71,7 +71,7 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
     amplitude, frequency = (c["value"] for c in constants)
     said = f"The {what} shakes periodically, at {frequency:.2f} Hz with about {amplitude:.2g} {unit}"
     shown = Spectrum(power[:, best], level * count, k, count, hertz, field)
-    return Scatter(
+    return NoiseEffect(
         "gait_oscillation", False, constants, (field.name,), f"{said} ({field.name}){like}.", gain, held,
         odds, shown,
     )  # fmt: skip

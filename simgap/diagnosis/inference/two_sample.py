@@ -7,22 +7,15 @@ from jaxtyping import Bool, Int
 from scipy.special import stdtrit
 
 from simgap.diagnosis.config import LEAST_SESSIONS, LEVEL
-from simgap.diagnosis.hypotheses.support import When
-from simgap.diagnosis.inference.model import Model, Tried
-from simgap.diagnosis.inference.noise import scatter
-from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.model import Model, Trial
+from simgap.diagnosis.inference.noise import noise_effects
+from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.posterior import differs_from_zero, spread
-from simgap.diagnosis.inference.whiteness import LeftOver, by_row, left_over
+from simgap.diagnosis.inference.whiteness import Whiteness, by_row, whiteness
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
 from simgap.types import Sessions
-
-
-def behind_gate(chunks: Chunks, baseline: int) -> Chunks:
-    """With one support, open in the sessions after those of the baseline only."""
-    since = (np.asarray(chunks.session) >= baseline)[:, None, None]
-    return chunks._replace(gate=np.broadcast_to(since, chunks.gate.shape).astype(np.float32))
 
 
 class _Units(NamedTuple):
@@ -33,14 +26,14 @@ class _Units(NamedTuple):
     sure: float
 
 
-def differs(problem: Problem, tried: Tried, baseline: int) -> bool:
+def differs(problem: Problem, tried: Trial, baseline: int) -> bool:
     """Whether an effect is another one since, however it varies from session to session before and after.
 
     What varies so, for physics that has no name or none yet, differs between any two sets of sessions.
     """
     units = _units(problem.chunks, baseline)
     sd = spread(problem, tried.fit, nuisance_columns(problem, tried.fit.v), units.starts)
-    return differs_from_zero(problem, tried.fit, tried.candidate, sd, units.sure)
+    return differs_from_zero(problem, tried.fit, tried.hypothesis, sd, units.sure)
 
 
 def _units(chunks: Chunks, baseline: int) -> _Units:
@@ -59,13 +52,13 @@ def _fewest(unit: Int[np.ndarray, " C"], before: Bool[np.ndarray, " C"]) -> int:
     return min(len(np.unique(unit[side & (unit >= 0)])) for side in (before, ~before))
 
 
-def left_since(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
+def whiteness_since(problem: Problem, fit: Fit, baseline: int) -> Whiteness:
     """What is left over, row for row, more than in the first so many sessions.
 
     A robot leaves a good deal over that no word of the vocabulary explains: no change, where it always has.
     """
-    left, since = left_over(problem, fit), rows_of(problem.chunks).session >= baseline
-    gained, units = by_row(fit, left), _units(problem.chunks, baseline)
+    found, since = whiteness(problem, fit), rows_of(problem.chunks).session >= baseline
+    gained, units = by_row(fit, found), _units(problem.chunks, baseline)
 
     def mean(rows: Bool[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
         """Of some rows, with its variance over units."""
@@ -77,23 +70,18 @@ def left_since(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
     more = now - before
     sure = more > units.sure * np.sqrt(its + theirs)
     part = np.where(sure, more / np.maximum(now, 1e-12), 0.0)
-    return LeftOver(np.where(sure, more, 0.0) * since.sum(), part * left.share, part * left.predicted)
+    return Whiteness(np.where(sure, more, 0.0) * since.sum(), part * found.share, part * found.predicted)
 
 
-def leaves(problem: Problem, fit: Fit, baseline: int) -> LeftOver:
+def whiteness_of(problem: Problem, fit: Fit, baseline: int) -> Whiteness:
     """What a fit leaves over, since the baseline of so many sessions where there is one."""
-    return left_since(problem, fit, baseline) if baseline else left_over(problem, fit)
+    return whiteness_since(problem, fit, baseline) if baseline else whiteness(problem, fit)
 
 
-def scatter_since(model: Model, sessions: Sessions, unseen: Chunks) -> list[Scatter]:
+def noise_effects_since(model: Model, sessions: Sessions, unseen: Chunks) -> list[NoiseEffect]:
     """Effects on the scatter that the baseline does not have as well."""
     problem, fit, _ = model
     time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
     after, before = (cut(some, time_step, least) for some in (sessions.training, sessions.baseline))
     at = problem._replace(chunks=after)
-    return scatter(at, evaluate(at, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate))
-
-
-def acted_before(when: When | None, baseline: int) -> bool:
-    """Whether something acts in one session, and that is the baseline's."""
-    return when is not None and when.session is not None and when.session < baseline
+    return noise_effects(at, evaluate(at, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate))

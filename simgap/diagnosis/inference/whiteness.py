@@ -28,7 +28,7 @@ TOUCHED = 0.05
 """Share of an effect's gain from which on it is said to improve an output."""
 
 
-class LeftOver(NamedTuple):
+class Whiteness(NamedTuple):
     """Per decorrelated output, cross-validated, zero where it may be chance.
 
     nats: gained by predicting. share: of the squared innovations that is predicted. predicted: the part of every
@@ -40,7 +40,7 @@ class LeftOver(NamedTuple):
     predicted: Float[np.ndarray, "n s"]
 
 
-def left_over(problem: Problem, fit: Fit) -> LeftOver:
+def whiteness(problem: Problem, fit: Fit) -> Whiteness:
     """Autoregression of every output's innovations on their own past, cross-validated over runs of rows."""
     y = np.clip(fit.e / fit.noise.scale, -3, 3)
     session = rows_of(problem.chunks).session
@@ -49,13 +49,13 @@ def left_over(problem: Problem, fit: Fit) -> LeftOver:
     predicted = _predicted(y, session)
     nats, share = _gained(y, predicted)
     sure = (share > LEAST_SHARE) & (nats > max(chance, 0.0) + LEAST_NATS)
-    return LeftOver(*(np.where(sure, a, 0.0) for a in (nats, share, predicted * fit.noise.scale)))
+    return Whiteness(*(np.where(sure, a, 0.0) for a in (nats, share, predicted * fit.noise.scale)))
 
 
-def by_row(fit: Fit, left: LeftOver) -> Float[np.ndarray, "n s"]:
+def by_row(fit: Fit, found: Whiteness) -> Float[np.ndarray, "n s"]:
     """What each row has of the log-likelihood that predicting gains."""
     y = np.clip(fit.e / fit.noise.scale, -3, 3)
-    rest = y - left.predicted / fit.noise.scale
+    rest = y - found.predicted / fit.noise.scale
     before, after = (np.maximum((a**2).mean(0), 1e-12) for a in (y, rest))
     return 0.5 * (y**2 / before - rest**2 / after + np.log(before / after))
 

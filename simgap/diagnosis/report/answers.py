@@ -27,7 +27,7 @@ def credible_set(odds: Mapping[str, float]) -> list[str]:
 
 def alternatives_of(found: Explanation) -> list[dict[str, Any]]:
     """Other sets: one effect replaced by what could stand in its place."""
-    odds = [(m.candidate.effect.id, m.odds) for m in found.members] + [(s.id, s.odds) for s in found.scattered]
+    odds = [(m.hypothesis.effect.id, m.odds) for m in found.members] + [(s.id, s.odds) for s in found.noise_effects]
     ids = [effect for effect, _ in odds]
     return [
         {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}
@@ -43,9 +43,10 @@ def parameters_of(found: Explanation) -> dict[str, Any]:
     low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).reshape(-1, 2).T
     phi, width = np.asarray(found.fit.v.phi, float), posterior.Z95 * found.sd.phi
     ends = (phi - width, phi + width)
-    before, after, *ends = (np.clip(a, low, high).tolist() for a in (np.asarray(found.as_is.v.phi, float), phi, *ends))
+    nominal = np.asarray(found.nominal.v.phi, float)
+    nominal, fitted, *ends = (np.clip(a, low, high).tolist() for a in (nominal, phi, *ends))
     return {
-        "before": dict(zip(names, before, strict=True)), "after": dict(zip(names, after, strict=True)),
+        "nominal": dict(zip(names, nominal, strict=True)), "fitted": dict(zip(names, fitted, strict=True)),
         "ci95": {n: list(between) for n, *between in zip(names, *ends, strict=True)},
         "at_bound": list(posterior.at_bound(found.problem, found.fit)),
         "undetermined": [n for n, seen in zip(names, found.sd.seen, strict=True) if not seen],
@@ -65,8 +66,9 @@ def beyond_of(loose: Explanation | None) -> dict[str, float]:
 def sensitivity_of(seen: Sensitivity) -> dict[str, Any]:
     """What could have been found, and what not."""
     return {
-        "needed_nats": seen.needed, "chance": POWER, "segments": seen.segments, "least_segments": seen.least_segments,
-        "least_rows": seen.least_rows, "hidden_effects": seen.hidden_effects, "hidden_channels": seen.hidden_channels,
+        "needed_nats": seen.needed, "power": POWER, "segments": seen.segments, "least_segments": seen.least_segments,
+        "least_rows": seen.least_rows, "undetectable_effects": seen.undetectable_effects,
+        "unexcited_channels": seen.unexcited_channels,
         "effects": [{"effect": v.effect, "where": v.where, "constant": v.constant, "size": v.size, "unit": v.unit}
                     for v in seen.visible],
     }  # fmt: skip
@@ -76,10 +78,10 @@ def rounds_of(found: Explanation) -> list[dict[str, Any]]:
     return [
         {
             "threshold_nats": r.screening.threshold / 2, "p_value": r.screening.p_value, "accepted": r.accepted,
-            "candidates": [
-                {"effect": t.candidate.effect.key, "where": t.candidate.where, "gain_nats": t.gain} for t in r.tried
+            "hypotheses": [
+                {"effect": t.hypothesis.effect.key, "where": t.hypothesis.where, "gain_nats": t.gain} for t in r.tried
             ] or [
-                {"effect": s.candidate.effect.key, "where": s.candidate.where, "gain_nats": s.gain}
+                {"effect": s.hypothesis.effect.key, "where": s.hypothesis.where, "gain_nats": s.gain}
                 for s in r.screening.found[:5]
             ],
         }

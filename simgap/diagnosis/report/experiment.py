@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from simgap.diagnosis.hypotheses.features import inside
-from simgap.diagnosis.hypotheses.space import Candidate
+from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut, sent_before
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -41,7 +41,7 @@ class NoExperiment(NamedTuple):
 
 
 def design(
-    problem: Problem, a: Fit, b: Fit, about: Sequence[Candidate], regimes: Regimes, recordings: list[Recording]
+    problem: Problem, a: Fit, b: Fit, about: Sequence[Hypothesis], regimes: Regimes, recordings: list[Recording]
 ) -> Experiment | NoExperiment:
     """The sequence, of a library of steps, reversals, ramps and sweeps of each command, that separates a from b most.
 
@@ -50,8 +50,8 @@ def design(
     """
     dt, schema = problem.scales.time_step, problem.augmented.simulator.schema
     rows = max(int(SECONDS / dt), LENGTH)
-    channels = {c for candidate in about for c in candidate.channels} or {f.name for f in schema.command}
-    outputs = {o for candidate in about for o in candidate.outputs} or {f.name for f in schema.state}
+    channels = {c for hypothesis in about for c in hypothesis.channels} or {f.name for f in schema.command}
+    outputs = {o for hypothesis in about for o in hypothesis.outputs} or {f.name for f in schema.state}
     limits = np.max([np.abs(r.command).max(0) for r in recordings], axis=0)
     asked = np.array([f.name in channels for f in schema.command], bool)
     library = [(words, u) for words, u in _library(problem, rows, limits) if u[:, asked].any()]

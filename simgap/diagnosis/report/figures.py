@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.hypotheses.space import Candidate, unit_of
+from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.likelihood.problem import Fit, Problem, raw_innovations, trials, value_of
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, counted
@@ -24,15 +24,15 @@ SHOWN_S = 12.0
 """Length of the rollouts that are drawn [s]."""
 
 
-def laws(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
+def laws(problem: Problem, fit: Fit, hypothesis: Hypothesis, found: Excess) -> list[dict]:
     """Pictures of one effect: what it explains, against what the robot does; and the likelihood of its constant."""
-    shown = {"effect": candidate.effect.id, "form": candidate.effect.form, "where": candidate.where}
-    return [shown | p for p in (*_explained(problem, fit, candidate, found), *_profile(problem, fit, candidate))]
+    shown = {"effect": hypothesis.effect.id, "form": hypothesis.effect.form, "where": hypothesis.where}
+    return [shown | p for p in (*_explained(problem, fit, hypothesis, found), *_profile(problem, fit, hypothesis))]
 
 
-def _explained(problem: Problem, fit: Fit, candidate: Candidate, found: Excess) -> list[dict]:
+def _explained(problem: Problem, fit: Fit, hypothesis: Hypothesis, found: Excess) -> list[dict]:
     """Change of the output most concerned that the effect brings (line), and with what is left over of it (dots)."""
-    without = vary(fit.v, candidate, [0.0] * len(candidate.groups))
+    without = vary(fit.v, hypothesis, [0.0] * len(hypothesis.groups))
     layout, state = problem.augmented.layout, counted(problem.chunks, np.asarray(problem.chunks.state)[:, :-1])
     # In the bodies' own frames, as commands are: in the world's what they do depends on where the robot looks.
     seen = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
@@ -95,17 +95,17 @@ def _told_by(x: np.ndarray, y: np.ndarray) -> float:
     return float((count * mean**2).sum())
 
 
-def _profile(problem: Problem, fit: Fit, candidate: Candidate) -> list[dict]:
+def _profile(problem: Problem, fit: Fit, hypothesis: Hypothesis) -> list[dict]:
     """Log-likelihood along the effect's first constant, all else held."""
-    group, constant = candidate.groups[0], candidate.effect.constants[0]
-    c = [value_of(fit.v, g) for g in candidate.groups]
+    group, constant = hypothesis.groups[0], hypothesis.effect.constants[0]
+    c = [value_of(fit.v, g) for g in hypothesis.groups]
     low, high = (float(b[group.entries[0]]) for b in problem.augmented.bounds)
     span = np.linspace(max(0.4 * c[0], low) if c[0] > 0 else max(1.6 * c[0], low),
                        min(1.6 * c[0], high) if c[0] > 0 else min(0.4 * c[0], high), PROFILE)  # fmt: skip
-    e = trials(problem, [vary(fit.v, candidate, [x, *c[1:]]) for x in span])
+    e = trials(problem, [vary(fit.v, hypothesis, [x, *c[1:]]) for x in span])
     loglik = np.array([log_density(one, fit.noise).sum() for one in e])
-    x = [float(constant.physical(float(v), candidate.sites[0], problem.scales)) for v in span]
-    unit = unit_of(problem.augmented, candidate, constant)
+    x = [float(constant.physical(float(v), hypothesis.sites[0], problem.scales)) for v in span]
+    unit = unit_of(problem.augmented, hypothesis, constant)
     keep = np.isfinite(loglik) & np.isfinite(x)
     order = np.argsort(np.array(x)[keep])
     return [{

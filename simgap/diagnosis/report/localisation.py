@@ -78,7 +78,7 @@ def regimes(found: Excess) -> list[dict]:
                 lead = min(share, 1.0) - rows
                 if 0 < rows <= MOST_ROWS and lead > STANDS_OUT and lead > best.get(name, (0.0, {}))[0]:
                     rule = f"{name} {sign} {edge:.2g} {found.units[k]}"
-                    best[name] = (lead, {"when": rule, "share": min(share, 1.0), "rows": rows})
+                    best[name] = (lead, {"regime": rule, "share": min(share, 1.0), "rows": rows})
     return [rule for _, rule in sorted(best.values(), key=lambda v: -v[0])[:3]]
 
 
@@ -87,7 +87,7 @@ def share(found: Excess, layout: Layout, regime: Regime) -> dict:
     per_row = found.nats.sum(1)
     rows = regime.side * (found.features[:, regime.feature] - regime.edge) > 0
     part = float(per_row[rows].sum() / per_row.sum())
-    return {"when": words(layout, regime), "share": min(max(part, 0.0), 1.0), "rows": float(rows.mean())}
+    return {"regime": words(layout, regime), "share": min(max(part, 0.0), 1.0), "rows": float(rows.mean())}
 
 
 def intervals(found: Excess, recordings: Sequence[Recording]) -> list[dict]:

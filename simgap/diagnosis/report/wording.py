@@ -5,8 +5,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from simgap.diagnosis.hypotheses.space import Candidate
-from simgap.diagnosis.hypotheses.support import When
+from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report.experiment import Experiment
 from simgap.effects import CATALOGUE
 
@@ -25,26 +24,27 @@ def quantity(constant: dict[str, Any]) -> str:
     return f"{number(constant['value'])}{unit}"
 
 
-def effect(candidate: Candidate, constants: list[dict[str, Any]]) -> str:
+def effect(hypothesis: Hypothesis, constants: list[dict[str, Any]]) -> str:
     """One effect: its law with its constants, and where it acts."""
-    said = candidate.effect.says.format(**{c["name"]: quantity(c) for c in constants})
+    said = hypothesis.effect.says.format(**{c["name"]: quantity(c) for c in constants})
     # Along one axis of a body that turns it shows in two outputs.
-    shown = (candidate.where,) if candidate.where in candidate.outputs else candidate.outputs
-    if candidate.effect.place == "engine" and len(candidate.sites) == 1 and candidate.where != "all":
-        return f"{said[0].upper()}{said[1:]} ({candidate.where})."  # a joint, an actuator or a body by its own name
-    where = ", ".join(candidate.channels or shown) or candidate.where
+    shown = (hypothesis.where,) if hypothesis.where in hypothesis.outputs else hypothesis.outputs
+    if hypothesis.effect.place == "engine" and len(hypothesis.sites) == 1 and hypothesis.where != "all":
+        return f"{said[0].upper()}{said[1:]} ({hypothesis.where})."  # a joint, an actuator or a body by its own name
+    where = ", ".join(hypothesis.channels or shown) or hypothesis.where
     return f"{said[0].upper()}{said[1:]} ({where})."
 
 
-def during(when: When | None, session: str | None, regime: str | None) -> str:
-    """When an effect acts, if not throughout."""
-    if when is None:
-        return ""
-    if regime is not None:
-        return f" It acts where {regime} only."
-    if session is None:
-        return f" It acts from {when.from_s:.1f} s on in every session."
-    return f" It acts from {when.from_s:.1f} s to {when.to_s:.1f} s of session {session} only."
+def acts(support: dict[str, Any]) -> str:
+    """Where and when an effect acts, if not throughout."""
+    match support:
+        case {"kind": "regime", "regime": regime}:
+            return f" It acts where {regime} only."
+        case {"kind": "from", "from_s": from_s}:
+            return f" It acts from {from_s:.1f} s on in every session."
+        case {"kind": "window", "session": session, "from_s": from_s, "to_s": to_s}:
+            return f" It acts from {from_s:.1f} s to {to_s:.1f} s of session {session} only."
+    return ""
 
 
 NO_COMMANDS = "The machine takes no commands, so no experiment can be proposed."
@@ -88,12 +88,12 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
             f"parameters outside their declared ranges would explain the recordings: {listed(values)}",
             "Widen the ranges if these values are plausible; if they are not, physics is missing",
         )
-    if channels := seen["hidden_channels"]:
+    if channels := seen["unexcited_channels"]:
         add(
             f"no effect of a usual size on {listed(channels)} would have been found",
             f"Record steps and reversals of {listed(channels)} over the usual range",
         )
-    if hidden := seen["hidden_effects"]:
+    if hidden := seen["undetectable_effects"]:
         where = dict.fromkeys(v["where"] for v in seen["effects"] if v["effect"] in hidden)
         add(
             f"{listed([title(e) for e in hidden])} of a usual size would not have been found anywhere",
@@ -105,7 +105,7 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
 def warnings(diagnosis: dict[str, Any]) -> list[str]:
     """What a reader must know before any number on the page."""
     models, lines = diagnosis["fit"]["models"], []
-    of = {"as_is": "the simulator as it is", "refitted": "the refitted simulator",
+    of = {"nominal": "the simulator as it is", "refitted": "the refitted simulator",
           "augmented": "the simulator with the effects"}  # fmt: skip
     for worse in diagnosis["fit"]["worse"]:
         for steps in worse["at"]:
@@ -120,8 +120,10 @@ def warnings(diagnosis: dict[str, Any]) -> list[str]:
 def statement(diagnosis: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
     lines = _VERDICTS[diagnosis["verdict"]](diagnosis)
-    if diagnosis["resembles"]:
-        lines += " Closest match, which explains only part of the mismatch: " + _statements(diagnosis["resembles"])
+    if diagnosis["closest_matches"]:
+        lines += " Closest match, which explains only part of the mismatch: " + _statements(
+            diagnosis["closest_matches"]
+        )
     if diagnosis["verdict"] == "missing_physics":
         lines += _improvement(diagnosis["fit"]["models"])
     return lines
@@ -158,17 +160,17 @@ def _unexplained(diagnosis: dict[str, Any]) -> str:
 def _missing_physics(diagnosis: dict[str, Any]) -> str:
     lines = f"The simulator leaves out: {_statements(diagnosis['effects'])}"
     more = []
-    if diagnosis["left_over"]["outputs"]:
-        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in diagnosis["left_over"]["outputs"][:3]]
+    if diagnosis["whiteness"]["outputs"]:
+        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in diagnosis["whiteness"]["outputs"][:3]]
         more.append(f"{listed(shares)} can be predicted from the rows before")
-    more += [law(term) for term in diagnosis["law"]]
-    if diagnosis["something_else"] or more:
+    more += [law(term) for term in diagnosis["nonparametric"]]
+    if diagnosis["more_missing"] or more:
         lines += " Something else is missing as well" + (f": {'; '.join(more)}." if more else ".")
-    acts_in = [e["regime"] for e in diagnosis["effects"]]
-    elsewhere = [r for r in diagnosis["located"]["regimes"] if r["when"] not in acts_in]
+    acts_in = [e["support"]["regime"] for e in diagnosis["effects"]]
+    elsewhere = [r for r in diagnosis["located"]["regimes"] if r["regime"] not in acts_in]
     if elsewhere:
         rule = elsewhere[0]
-        lines += f" {rule['share']:.0%} of the mismatch lies where {rule['when']} ({rule['rows']:.0%} of the rows)."
+        lines += f" {rule['share']:.0%} of the mismatch lies where {rule['regime']} ({rule['rows']:.0%} of the rows)."
     return lines
 
 
@@ -193,7 +195,7 @@ def _would_show(diagnosis: dict[str, Any]) -> str:
         if v["size"] is not None:
             first.setdefault(place_of.get(v["effect"], "engine"), v)  # what is in no catalogue is an engine's own
     sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
-    return f" With a probability of {seen['chance']:.0%} these would have been found, for example: {'; '.join(sizes)}."
+    return f" With a probability of {seen['power']:.0%} these would have been found, for example: {'; '.join(sizes)}."
 
 
 def sized(visible: dict[str, Any]) -> str:
@@ -206,7 +208,7 @@ def _improvement(models: dict[str, Any]) -> str:
     if "augmented" not in models:
         return ""
     longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
-    names = {"as_is": "as it is", "refitted": "refitted"}
+    names = {"nominal": "as it is", "refitted": "refitted"}
     better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
     before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
     gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]

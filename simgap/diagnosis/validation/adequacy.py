@@ -52,11 +52,11 @@ def conclude(
     beaten = () if found.baseline else tuple(scores.beats(list(heldout.values()), box))
     little = share is not None and share["ci95"][1] < EXPLAINED
     named = tuple(
-        (beyond is None or m.candidate.effect.id in beyond.ids) and _stands(found, judged, i, little, rng)
+        (beyond is None or m.hypothesis.effect.id in beyond.ids) and _stands(found, judged, i, little, rng)
         for i, m in enumerate(found.members)
     )
-    moved = scores.difference(heldout["as_is"], refitted, rng)["ci95"][0] > 0
-    pairs = [("as_is", "refitted"), *([("as_is", "augmented"), ("refitted", "augmented")] if found.members else [])]
+    moved = scores.difference(heldout["nominal"], refitted, rng)["ci95"][0] > 0
+    pairs = [("nominal", "refitted"), *([("nominal", "augmented"), ("refitted", "augmented")] if found.members else [])]
     worse = {pair: scores.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
     # A law with which forecasts explode is no physics, whatever it does to the next row: it stands for nothing.
     possible = tuple(not any(scores.explodes(a, b) for a, b in _pairs(judged, i)) for i in range(len(named)))
@@ -70,13 +70,13 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
     if named:
         return "missing_physics"
     # What is periodic, or odd in single rows, can be predicted in part.
-    accounted = any(s.id == "gait_oscillation" or s.rare for s in found.scattered)
-    nameless = bool(found.left.nats.any() or found.law.terms) and not accounted
+    accounted = any(s.id == "gait_oscillation" or s.rare for s in found.noise_effects)
+    nameless = bool(found.whiteness.nats.any() or found.law.terms) and not accounted
     if more or nameless:
         return "unexplained"
-    if found.scattered:
+    if found.noise_effects:
         return "missing_physics"
-    if seen.hidden_effects or seen.hidden_channels:
+    if seen.undetectable_effects or seen.unexcited_channels:
         return "inconclusive"
     return "parameters_only" if moved else "nothing"
 
@@ -96,15 +96,15 @@ def _stands(found: Explanation, judged: Judgement, i: int, little: bool, rng: np
 
 def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judged, Judged]]:
     """The model without a member and the one with it, on held-out and on fitted sessions."""
-    heldout, fitted = judged.lacking[i]
+    heldout, fitted = judged.refitted_without[i]
     return (heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"])
 
 
 def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:
     """Whether an effect improves held-out forecasts at every horizon, by much at one, with its constant well known."""
-    if m.odds[m.candidate.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
+    if m.odds[m.hypothesis.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
         return False
-    if not differs_from_zero(found.problem, found.fit, m.candidate, found.sd, WELL_DETERMINED):
+    if not differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd, WELL_DETERMINED):
         return False
     outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
     removed = scores.changes(without, with_it, rng, outputs)

@@ -50,7 +50,7 @@ class Judgement(NamedTuple):
 
     heldout: dict[str, Judged]
     fitted: dict[str, Judged]
-    lacking: tuple[tuple[Judged, Judged], ...]
+    refitted_without: tuple[tuple[Judged, Judged], ...]
 
 
 def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chunks) -> tuple[Judged, Judged]:

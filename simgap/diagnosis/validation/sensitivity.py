@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from simgap.diagnosis.config import BLOCK, FEW, POWER
-from simgap.diagnosis.hypotheses.space import Candidate, unit_of
+from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.score_test import Screened, Screening, in_proportion
 from simgap.diagnosis.likelihood.problem import Problem
@@ -52,12 +52,12 @@ class Sensitivity(NamedTuple):
         return self.segments < self.least_segments
 
     @property
-    def hidden_effects(self) -> list[str]:
+    def undetectable_effects(self) -> list[str]:
         """Effects of which no usual size would have been found at any site."""
         return _below(self.needed, ((v.effect, v.usual_nats) for v in self.visible))
 
     @property
-    def hidden_channels(self) -> list[str]:
+    def unexcited_channels(self) -> list[str]:
         """Commands of which no usual change would have been found, of any kind: they hardly move."""
         return _below(self.needed, ((c, v.usual_nats) for v in self.visible for c in v.commands))
 
@@ -70,7 +70,7 @@ def _below(needed: float, nats: Iterable[tuple[str, float]]) -> list[str]:
     return [name for name, gain in greatest.items() if gain < needed]
 
 
-def sensitivity(problem: Problem, screening: Screening, candidates: Sequence[Candidate]) -> Sensitivity:
+def sensitivity(problem: Problem, screening: Screening, hypotheses: Sequence[Hypothesis]) -> Sensitivity:
     """By the first screening: what every effect at a single site would have gained at the sizes that were tested.
 
     The statistic of an effect that gains g nats is normal about sqrt(2 g), of variance one; it is found with the chance
@@ -79,23 +79,23 @@ def sensitivity(problem: Problem, screening: Screening, candidates: Sequence[Can
     needed = 0.5 * float(np.sqrt(screening.threshold) + ndtri(POWER)) ** 2
     tested: dict[str, list[Screened]] = {}
     for s in screening.found:
-        tested.setdefault(s.candidate.name, []).append(s)
-    single = [c for c in candidates if len(c.sites) == 1]
+        tested.setdefault(s.hypothesis.name, []).append(s)
+    single = [c for c in hypotheses if len(c.sites) == 1]
     visible = tuple(_visible(problem, c, tested.get(c.name, ()), needed) for c in single)
     return Sensitivity(visible, needed, len(blocks(np.asarray(problem.chunks.counts))), FEW, FEW * BLOCK)
 
 
-def _visible(problem: Problem, candidate: Candidate, tested: Sequence[Screened], needed: float) -> Visible:
+def _visible(problem: Problem, hypothesis: Hypothesis, tested: Sequence[Screened], needed: float) -> Visible:
     """Of the sizes that would have been found the one closest to no effect."""
-    amplitudes = [k for k, c in enumerate(candidate.effect.constants) if not c.shapes]
+    amplitudes = [k for k, c in enumerate(hypothesis.effect.constants) if not c.shapes]
     found = [(s.constant, size) for s in tested if (size := _smallest(s, needed)) is not None]
     k, size = min(found, key=lambda f: abs(f[1]), default=(amplitudes[0], None))
-    constant = candidate.effect.constants[k]
-    physical = None if size is None else float(constant.physical(size, candidate.sites[0], problem.scales))
+    constant = hypothesis.effect.constants[k]
+    physical = None if size is None else float(constant.physical(size, hypothesis.sites[0], problem.scales))
     usual = max((s.power for s in tested), default=0.0)
-    unit = unit_of(problem.augmented, candidate, constant)
-    commands = candidate.channels if candidate.effect.place in ("command", "filter") else ()
-    return Visible(candidate.effect.id, candidate.where, commands, constant.name, physical, unit, usual)
+    unit = unit_of(problem.augmented, hypothesis, constant)
+    commands = hypothesis.channels if hypothesis.effect.place in ("command", "filter") else ()
+    return Visible(hypothesis.effect.id, hypothesis.where, commands, constant.name, physical, unit, usual)
 
 
 def _smallest(s: Screened, needed: float) -> float | None:
@@ -103,6 +103,6 @@ def _smallest(s: Screened, needed: float) -> float | None:
 
     The gain of a law in proportion to its constant grows with the square of it, and it need not have been tested there.
     """
-    if in_proportion(s.candidate, s.constant):
+    if in_proportion(s.hypothesis, s.constant):
         return s.tested * float(np.sqrt(needed / s.power)) if s.power * LARGEST**2 >= needed else None
     return s.tested if s.power >= needed else None

@@ -63,13 +63,13 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
     """
     own, late, unwritten = {term.effect for term in engine.terms}, {kind: {} for kind in LATE}, []
     for effect in statement["effects"]:
-        always = effect["regime"] is None and effect["from_s"] is None
+        always = effect["support"]["kind"] == "always"
         if always and effect["id"] in late:
             (constant,) = effect["constants"]
             late[effect["id"]] |= {name.removeprefix("cmd_"): constant["value"] for name in effect["channels"]}
         elif not always or effect["id"] not in own:
             unwritten.append(f"{effect['statement']} {'MJCF has no word for it.' if always else NOT_ALWAYS}")
-    unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["resembles"]]
+    unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["closest_matches"]]
     terms = np.asarray(terms_of(Augmented(cast(Engine, engine)), model.theta))
     named = [any(_is_of(term, e, engine.terms) for e in statement["effects"]) for term in engine.terms]
     written = patch(engine, model.phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
@@ -92,7 +92,7 @@ def _sizes(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]
 
     return {
         **statement,
-        "before": of, **{part: size(statement[part]) for part in ("after", "ci95", "ranges")},
+        "nominal": of, **{part: size(statement[part]) for part in ("fitted", "ci95", "ranges")},
         "units": {s.name: s.unit for s in engine.scaled},
-        "in_words": engine.words(np.array([statement["after"][s.name] for s in engine.scaled])),
+        "in_words": engine.words(np.array([statement["fitted"][s.name] for s in engine.scaled])),
     }  # fmt: skip

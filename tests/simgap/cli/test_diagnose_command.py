@@ -77,9 +77,9 @@ def test_the_corrected_simulator_is_loaded_from_the_folder(folder: Path, monkeyp
     monkeypatch.syspath_prepend(str(folder))
     found = json.loads((folder / "found" / "diagnosis.json").read_text())
     simulator = simgap.load("found")
-    assert set(simulator.effects) <= {effect["id"] for effect in (*found["effects"], *found["resembles"])}
+    assert set(simulator.effects) <= {effect["id"] for effect in (*found["effects"], *found["closest_matches"])}
     values = dict(zip((p.name for p in simulator.parameters), simgap.nominal(simulator), strict=True))
-    assert values == pytest.approx(found["parameters"]["after"], rel=1e-5)
+    assert values == pytest.approx(found["parameters"]["fitted"], rel=1e-5)
     sys.modules.pop("mine", None)
 
 

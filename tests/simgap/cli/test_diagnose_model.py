@@ -85,8 +85,8 @@ def test_what_is_missing_is_named_from_the_nearer_start(found: dict[str, Any]) -
     low, high = effect["constants"][0]["ci95"]
     assert low < 0.3 < high  # N m, examples/arm.py
     for name, kp in KP.items():
-        assert found["parameters"]["before"][f"kp {name}"] == pytest.approx(FACTOR * kp)
-        assert found["parameters"]["after"][f"kp {name}"] == pytest.approx(kp, rel=0.03)
+        assert found["parameters"]["nominal"][f"kp {name}"] == pytest.approx(FACTOR * kp)
+        assert found["parameters"]["fitted"][f"kp {name}"] == pytest.approx(kp, rel=0.03)
 
 
 def test_the_patched_model_has_what_was_found(found: dict[str, Any], patched: MujocoEngine) -> None:
@@ -121,12 +121,12 @@ def test_the_page_has_open_loop_errors_of_every_joint(found: dict[str, Any], pag
     block = page.partition("Open loop:")[2]
     assert "as is refitted with effects" in block.partition("pan_pos")[0]
     for position in found["replay"]["positions"]:
-        errors = [position["errors"][model] for model in ("as_is", "refitted", "augmented")]
+        errors = [position["errors"][model] for model in ("nominal", "refitted", "augmented")]
         cells = re.search(rf"{position['name']} mrad ([\d.]+) ([\d.]+) ([\d.]+)", block)
         assert cells, position
         assert [float(c) for c in cells.groups()] == pytest.approx([1000 * e for e in errors], rel=0.02)
     by_joint = {p["name"]: p["errors"] for p in found["replay"]["positions"]}
-    assert by_joint["shoulder_pos"]["augmented"] < 0.5 * by_joint["shoulder_pos"]["as_is"]
+    assert by_joint["shoulder_pos"]["augmented"] < 0.5 * by_joint["shoulder_pos"]["nominal"]
 
 
 def test_the_page_lists_every_change_of_the_model(found: dict[str, Any], page: str) -> None:

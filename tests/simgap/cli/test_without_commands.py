@@ -147,5 +147,5 @@ def test_nothing_is_named_where_nothing_is_missing(folder: Path, monkeypatch: py
     training, heldout = split(recorded(0.0))
     found = diagnose(simulator, "free", Sessions(training, heldout))
     assert found.experiment is None
-    assert found.statement["effects"] == found.statement["resembles"] == []
+    assert found.statement["effects"] == found.statement["closest_matches"] == []
     assert found.statement["verdict"] not in ("missing_physics", "unexplained")

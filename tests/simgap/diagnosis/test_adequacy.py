@@ -105,7 +105,7 @@ def told(kind: str) -> dict[str, Any]:
 def test_sessions_of_five_rows_are_too_little() -> None:
     said = told("short")
     assert said["verdict"] == "inconclusive"
-    assert said["effects"] == said["resembles"] == []
+    assert said["effects"] == said["closest_matches"] == []
     assert said["sensitivity"]["segments"] == 3
     assert "3 independent segments" in said["statement"]
     assert "Record at least" in said["statement"]
@@ -114,8 +114,8 @@ def test_sessions_of_five_rows_are_too_little() -> None:
 def test_where_nothing_moves_nothing_can_be_said() -> None:
     said = told("still")
     assert said["verdict"] == "inconclusive"
-    assert {"delay", "lag", "saturation"} <= set(said["sensitivity"]["hidden_effects"])
-    assert set(said["sensitivity"]["hidden_channels"]) == {f.name for f in AS_IT_IS.schema.command}
+    assert {"delay", "lag", "saturation"} <= set(said["sensitivity"]["undetectable_effects"])
+    assert set(said["sensitivity"]["unexcited_channels"]) == {f.name for f in AS_IT_IS.schema.command}
     assert "cmd_base_vx" in said["statement"]
 
 
@@ -162,7 +162,7 @@ def test_a_strong_effect_is_named_though_more_is_missing() -> None:
     said = delay_and_more()
     assert said["verdict"] == "missing_physics"
     assert "delay" in [e["id"] for e in said["effects"]]
-    assert said["something_else"] or said["law"] or said["left_over"]["outputs"]
+    assert said["more_missing"] or said["nonparametric"] or said["whiteness"]["outputs"]
     assert "Something else is missing as well" in said["statement"]
 
 
@@ -174,13 +174,13 @@ def models(**errors: float) -> dict[str, Any]:
 
 
 def test_the_headline_compares_with_the_better_of_nominal_and_refitted() -> None:
-    said = wording._improvement(models(as_is=0.175, refitted=0.376, augmented=0.017))
+    said = wording._improvement(models(nominal=0.175, refitted=0.376, augmented=0.017))
     assert "from 17.5% (the simulator as it is) to 1.7%" in said
 
 
 def test_a_refit_that_is_worse_is_a_warning() -> None:
-    worse = [{"model": "refitted", "than": "as_is", "at": [50]}]
-    (line,) = wording.warnings({"fit": {"models": models(as_is=0.175, refitted=0.376), "worse": worse}})
+    worse = [{"model": "refitted", "than": "nominal", "at": [50]}]
+    (line,) = wording.warnings({"fit": {"models": models(nominal=0.175, refitted=0.376), "worse": worse}})
     assert "the refitted simulator is worse than the simulator as it is after 50 steps: 37.6% against 17.5%" in line
 
 

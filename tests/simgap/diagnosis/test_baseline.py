@@ -6,14 +6,15 @@ from planted import SPOT, recordings, stalled
 from small import RICH, ROWS, acting, problem
 
 from simgap.diagnosis.config import LEAST_SESSIONS
-from simgap.diagnosis.hypotheses.space import candidates, changed
+from simgap.diagnosis.hypotheses.space import changed, hypotheses_of
+from simgap.diagnosis.hypotheses.support import Since, Window, opened
 from simgap.diagnosis.inference import explain as explanation
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Tried
+from simgap.diagnosis.inference.model import Trial
 from simgap.diagnosis.inference.posterior import constants
 from simgap.diagnosis.inference.score_test import vary
-from simgap.diagnosis.inference.two_sample import behind_gate, differs
+from simgap.diagnosis.inference.two_sample import differs
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.types import Recording, Sessions
 
@@ -32,14 +33,14 @@ def since(before: dict, after: dict, share: float = 0.0) -> Explanation:
 
 def test_what_came_since_is_named_and_what_was_there_before_is_not() -> None:
     found = since(SAG, BOTH)
-    assert [m.candidate.effect.id for m in found.members] == ["delay"]
+    assert [m.hypothesis.effect.id for m in found.members] == ["delay"]
     assert found.names(found.members[0])
 
 
 def test_of_a_change_the_change_is_told() -> None:
     found = since(acting("delay", (0.6,), (0, 1, 2)), BOTH | acting("gravity_sag", (0.0,)))
     (member,) = found.members
-    (told,) = constants(found.problem, found.fit, member.candidate, found.sd, member.gain)
+    (told,) = constants(found.problem, found.fit, member.hypothesis, found.sd, member.gain)
     assert told["unit"] == "s"
     assert told["value"] == pytest.approx(0.8 / 15, rel=0.1)
     assert told["ci95"][0] < 0.8 / 15 < told["ci95"][1]
@@ -53,22 +54,22 @@ def test_a_push_since_is_told_as_such() -> None:
     old, held = ([r._replace(name=name) for r in some] for name, some in (("before", old), ("held out", held)))
     found = explanation.explain(SPOT.simulator, Sessions(new, held, old), np.random.default_rng(0), print)
     (member,) = found.members
-    assert member.candidate.effect.id == "external_push"
-    assert member.when is not None
-    assert member.when.from_s == pytest.approx(5.0, abs=0.3)
-    assert member.when.to_s == pytest.approx(7.0, abs=0.3)
+    assert member.hypothesis.effect.id == "external_push"
+    assert isinstance(member.hypothesis.support, Window)
+    assert member.hypothesis.support.from_s == pytest.approx(5.0, abs=0.3)
+    assert member.hypothesis.support.to_s == pytest.approx(7.0, abs=0.3)
 
 
 def test_where_nothing_changed_nothing_is_claimed() -> None:
     found = since(BOTH, BOTH)
     assert not found.members
-    assert not found.scattered
+    assert not found.noise_effects
 
 
 def test_stalls_that_were_there_before_are_no_change() -> None:
     found = since({}, {}, STALLS)
     assert not found.members
-    assert not found.scattered
+    assert not found.noise_effects
 
 
 def followed(gains: tuple[float, ...], seed: int) -> list[Recording]:
@@ -91,12 +92,12 @@ def test_what_varies_from_session_to_session_is_no_change(
     assert len(before) == LEAST_SESSIONS
     sessions = [*followed(before, RICH), *followed(after, RICH + 50)]
     of = problem(sessions)
-    of = of._replace(chunks=behind_gate(of.chunks, len(before)))
+    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [Since(len(before))]))
     of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
-    gain = changed(next(c for c in candidates(SPOT, of.scales) if c.name == "gain on base"))
+    gain = changed(next(h for h in hypotheses_of(SPOT, of.scales) if h.name == "gain on base"), len(before))
     base, _ = optimise(of, evaluate(of, start(of), gain.twin))
     begun = vary(base.v, gain, (-0.05,))
     fitted, _ = optimise(of, evaluate(of, begun, (*gain.twin, *gain.groups)))
-    tried = Tried.of(gain, fitted, base)
+    tried = Trial.of(gain, fitted, base)
     assert tried.gain > 10
     assert differs(of, tried, len(before)) == change

@@ -10,8 +10,8 @@ from small import KEYS, RICH, acting, problem, sessions
 
 from examples.drive import PARAMETERS, SCHEMA
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.hypotheses.space import candidates
-from simgap.diagnosis.hypotheses.support import When, opened
+from simgap.diagnosis.hypotheses.space import hypotheses_of
+from simgap.diagnosis.hypotheses.support import From, opened
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.gauss_newton import hold, lowest, optimise, refine
 from simgap.diagnosis.inference.model import Model, decorrelated
@@ -88,7 +88,7 @@ def test_constants_behind_a_support_stay_within_their_bounds() -> None:
     """Of an effect that acts only from a time on, and of the sum where it also acts everywhere."""
     training, _ = sessions({}, seed=6)
     of = problem(training)
-    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [When(from_s=5.0)]))
+    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [From(5.0)]))
     keys = ("coulomb_friction", "viscous_drag", "saturation", "rate_limit", "deadband", "lag")
     everywhere = tuple(group(key, (0,)) for key in keys)
     later = tuple(g._replace(support=1) for g in everywhere)
@@ -108,14 +108,14 @@ def test_constants_behind_a_support_stay_within_their_bounds() -> None:
 def test_a_constant_at_a_bound_names_nothing(key: str, value: float, names: bool) -> None:
     """Bounds lie beyond what a robot does: a fit that goes there has found something else."""
     of = problem(sessions({}, seed=6)[0])
-    candidate = next(c for c in candidates(SPOT, of.scales) if c.effect.key == key)
+    hypothesis = next(c for c in hypotheses_of(SPOT, of.scales) if c.effect.key == key)
     v = start(of)
-    for g in candidate.groups:
+    for g in hypothesis.groups:
         v = with_value(v, g, value)
-    fit = evaluate(of, v, candidate.groups)
-    sd = posterior.Spread(np.zeros(24), np.full(len(candidate.groups), 0.01), np.ones(24, bool))
-    assert posterior.differs_from_zero(of, fit, candidate, sd) == names
-    assert posterior.determined(of, fit, candidate, sd, 100.0) == names
+    fit = evaluate(of, v, hypothesis.groups)
+    sd = posterior.Spread(np.zeros(24), np.full(len(hypothesis.groups), 0.01), np.ones(24, bool))
+    assert posterior.differs_from_zero(of, fit, hypothesis, sd) == names
+    assert posterior.determined(of, fit, hypothesis, sd, 100.0) == names
 
 
 def test_every_step_of_the_fit_is_an_improvement() -> None:
@@ -183,7 +183,7 @@ def test_two_effects_that_act_in_two_regimes_are_fitted_at_the_same_time() -> No
     far, turning = Regime(names.index("reach"), 1.0, 0.8), Regime(names.index("base |yaw rate|"), 1.0, 0.3)
     weak, dragged = acting("gain", (-0.35,), (4,)), acting("viscous_drag", (0.35,), (1,))
     of = problem(sessions({}, RICH, during=weak, regime=far, there=dragged, its_regime=turning)[0])
-    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [When(regime=far), When(regime=turning)]))
+    of = of._replace(chunks=opened(SPOT.layout, of.chunks, [far, turning]))
     of = of._replace(whiten=whitening(evaluate(of, start(of), ()).e))
     groups = (group("gain", (4,))._replace(support=1), group("viscous_drag", (1,))._replace(support=2))
     fit, _ = optimise(of, evaluate(of, start(of), groups))

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from planted import SPOT
 from small import problem, sessions
 
-from simgap.diagnosis.inference.two_sample import left_since
-from simgap.diagnosis.inference.whiteness import left_over, named_share
+from simgap.diagnosis.inference.two_sample import whiteness_since
+from simgap.diagnosis.inference.whiteness import named_share, whiteness
 from simgap.diagnosis.likelihood.problem import Fit, Problem, start
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
@@ -34,7 +34,7 @@ def size(of: Problem) -> tuple[int, int]:
 @given(seed=st.integers(0, 2**31 - 1), dof=st.sampled_from([2.5, 5.0, 60.0]))
 @quick
 def test_nothing_is_foretold_of_noise(of: Problem, seed: int, dof: float) -> None:
-    left = left_over(of, fit(of, np.random.default_rng(seed).standard_t(dof, size(of))))
+    left = whiteness(of, fit(of, np.random.default_rng(seed).standard_t(dof, size(of))))
     assert not left.nats.any()
     assert not left.share.any()
     assert not left.predicted.any()
@@ -48,7 +48,7 @@ def test_of_a_drift_theory_says_how_much(of: Problem, memory: float) -> None:
     e = rng.normal(size=(n, outputs))
     for t in range(1, n):
         e[t, 4] = memory * e[t - 1, 4] + np.sqrt(1 - memory**2) * rng.normal()
-    left = left_over(of, fit(of, e))
+    left = whiteness(of, fit(of, e))
     assert np.flatnonzero(left.nats).tolist() == [4]
     assert left.share[4] == pytest.approx(memory**2, abs=0.12)
     assert left.nats[4] == pytest.approx(-n / 2 * np.log(1 - left.share[4]))
@@ -64,7 +64,7 @@ def test_a_drift_that_was_there_before_is_nothing_new(of: Problem, before: bool)
     for t in range(1, n):
         if since[t] or before:
             e[t, 4] = 0.9 * e[t - 1, 4] + np.sqrt(1 - 0.9**2) * rng.normal()
-    left = left_since(of, fit(of, e), 1)
+    left = whiteness_since(of, fit(of, e), 1)
     assert np.flatnonzero(left.nats).tolist() == ([] if before else [4])
     if not before:
         assert left.nats[4] == pytest.approx(-since.sum() / 2 * np.log(1 - 0.9**2), rel=0.4)
@@ -75,7 +75,7 @@ def test_rows_that_are_late_do_not_foretell(of: Problem) -> None:
     rng = np.random.default_rng(2)
     e = rng.normal(size=size(of))
     e[rng.random(len(e)) < 0.1] *= 15
-    assert not left_over(of, fit(of, e)).nats.any()
+    assert not whiteness(of, fit(of, e)).nats.any()
 
 
 def test_an_effect_is_named_by_its_share_of_what_there_is_in_its_outputs(of: Problem) -> None:
@@ -90,7 +90,7 @@ def test_an_effect_is_named_by_its_share_of_what_there_is_in_its_outputs(of: Pro
 
     def share(with_it: np.ndarray, without: np.ndarray) -> float:
         a, b = (Fit(start(of), (), e, unit, float(log_density(e, unit).sum())) for e in (with_it, without))
-        return named_share(SPOT.layout, a, b, left_over(of, a).nats)
+        return named_share(SPOT.layout, a, b, whiteness(of, a).nats)
 
     assert share(clean, off) == 1.0
     assert share(drift, drift + off - clean) == pytest.approx(0.5, abs=0.25)  # a speed and its position are one

@@ -8,8 +8,8 @@ import pytest
 from rows import BURST, JITTER, LOST, NULLS, ROBOT, SLOPE, STALL, STEP, drawn
 from scipy.stats import binom
 
-from simgap.diagnosis.hypotheses.support import When
-from simgap.diagnosis.inference.noise_effect import OTHER, Scatter
+from simgap.diagnosis.hypotheses.support import Window
+from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect
 from simgap.diagnosis.inference.noise_rows import explained
 from simgap.diagnosis.inference.scan import edges_ci95
 from simgap.diagnosis.inference.spectral_line import SEGMENT, line_of
@@ -34,7 +34,7 @@ CONSTANTS = {
 
 
 @cache  # the studies of coverage go on where the tests of names end
-def said(kind: str, seed: int) -> Scatter | None:
+def said(kind: str, seed: int) -> NoiseEffect | None:
     training, heldout = drawn(kind, seed)
     return explained(ROBOT, fit_noise(training.e), training, heldout)
 
@@ -96,7 +96,7 @@ def test_intervals_of_edges_hold_the_truth_as_often_as_they_say(strength: float)
         score, power = -direction * e, direction**2
         edges = np.array([acts.start, acts.stop]) + rng.integers(-5, 6, 2)
         best = _best(score, power, edges)
-        intervals = edges_ci95(rows, When(0, *(STEP * best)), score, power)
+        intervals = edges_ci95(rows, Window(0, *(STEP * best)), score, power)
         hits += [
             low <= STEP * true <= high for (low, high), true in zip(intervals, (acts.start, acts.stop), strict=True)
         ]

@@ -8,7 +8,7 @@ import pytest
 from test_ranges import driven
 
 from examples.drive import PARAMETERS, SCHEMA, Drive
-from simgap.diagnosis.hypotheses.space import Candidate, candidates
+from simgap.diagnosis.hypotheses.space import Hypothesis, hypotheses_of
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.gauss_newton import hold, optimise, refine
 from simgap.diagnosis.inference.model import Model, absorbing
@@ -34,8 +34,8 @@ def optimised(of: Problem) -> Model:
     return Model(of, *optimise(of, evaluate(of, start(of), ())))
 
 
-def known(of: Problem, name: str) -> Candidate:
-    (found,) = (c for c in candidates(of.augmented, of.scales) if c.name == name)
+def known(of: Problem, name: str) -> Hypothesis:
+    (found,) = (c for c in hypotheses_of(of.augmented, of.scales) if c.name == name)
     return found
 
 
@@ -172,7 +172,9 @@ def test_a_spring_that_explodes_within_its_range_is_fitted() -> None:
     sd = posterior.spread(*model)
     assert np.isfinite(sd.phi).all()
     assert (np.abs(np.asarray(model.fit.v.phi)[:2] - [2.5, 5.0]) < 4 * sd.phi[:2]).all()
-    found = one_more(model, candidates(model.problem.augmented, model.problem.scales), np.random.default_rng(0), print)
+    found = one_more(
+        model, hypotheses_of(model.problem.augmented, model.problem.scales), np.random.default_rng(0), print
+    )
     assert all(np.isfinite(t.gain) for t in found.tried)
 
 
@@ -201,7 +203,7 @@ def test_hypotheses_with_which_the_simulator_explodes_are_named() -> None:
     explosive = drag._replace(starts=((1e30,),), where="explosive")
     found = screen(of, model.fit, free(model), [drag, explosive], np.random.default_rng(0))
     assert found.untested == (explosive.name,)
-    assert {s.candidate.name for s in found.found} == {drag.name}
+    assert {s.hypothesis.name for s in found.found} == {drag.name}
 
 
 # Recordings with little in them
@@ -215,7 +217,9 @@ def test_few_rows_are_no_error(rows: int, sessions: int) -> None:
     assert np.isfinite(model.fit.loglik)
     sd = posterior.spread(*model)
     assert np.isfinite(sd.phi).all()
-    found = one_more(model, candidates(model.problem.augmented, model.problem.scales), np.random.default_rng(0), print)
+    found = one_more(
+        model, hypotheses_of(model.problem.augmented, model.problem.scales), np.random.default_rng(0), print
+    )
     assert np.isfinite([found.screening.p_value, found.screening.threshold]).all()
     assert found.tried == []
 
@@ -230,7 +234,7 @@ def test_columns_that_never_change_are_no_error(still: str) -> None:
     model = optimised(posed(Drive(), recordings))
     assert np.isfinite(model.fit.loglik)
     assert np.isfinite(posterior.spread(*model).phi).all()
-    every = candidates(model.problem.augmented, model.problem.scales)
+    every = hypotheses_of(model.problem.augmented, model.problem.scales)
     assert all(np.isfinite(c.starts).all() for c in every)
     assert np.isfinite(one_more(model, every, np.random.default_rng(0), print).screening.threshold)
 

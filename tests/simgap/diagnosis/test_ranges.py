@@ -86,7 +86,7 @@ def test_a_diagnosis_says_which_parameter_is_at_the_edge_of_its_range() -> None:
     statement = diagnose(ranged((0.7, 1.9), (0.1, 20.0)), "drive", Sessions(recordings[:3], recordings[3:])).statement
     parameters = statement["parameters"]
     assert parameters["at_bound"] == ["mass"]
-    assert 1.9 * (1 - 1e-3) <= parameters["after"]["mass"] <= 1.9
+    assert 1.9 * (1 - 1e-3) <= parameters["fitted"]["mass"] <= 1.9
     assert all(0.7 <= end <= 1.9 for end in parameters["ci95"]["mass"])
     assert parameters["undetermined"] == []
     assert (
@@ -108,5 +108,5 @@ class Known(Drive):
 def test_a_simulator_without_parameters_is_diagnosed() -> None:
     recordings = driven((2.5, 4.0))
     told = diagnose(Known(parameters=()), "known", Sessions(recordings[:3], recordings[3:])).statement
-    assert told["parameters"]["before"] == told["parameters"]["after"] == {}
+    assert told["parameters"]["nominal"] == told["parameters"]["fitted"] == {}
     assert told["verdict"] in ("nothing", "inconclusive")

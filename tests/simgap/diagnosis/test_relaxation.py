@@ -53,7 +53,7 @@ def test_what_a_law_is_wrong_by_has_no_name(number: int, families: tuple[str, ..
     case = draw(number)
     assert case.families == families
     found = explain(case.machine, case.sessions, np.random.default_rng(0), print)
-    assert {m.candidate.effect.id for m in found.members} == named
+    assert {m.hypothesis.effect.id for m in found.members} == named
     assert all(m.misfit > 0 for m in found.members)
 
 
@@ -62,5 +62,5 @@ def test_where_the_law_is_nearly_exact_bending_it_gains_next_to_nothing() -> Non
     assert case.families == ("play",)
     found = explain(case.machine, case.sessions, np.random.default_rng(0), print)
     (play,) = found.members
-    assert play.candidate.effect.id == "backlash"
+    assert play.hypothesis.effect.id == "backlash"
     assert play.misfit < 0.05 * play.gain

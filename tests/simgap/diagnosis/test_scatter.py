@@ -6,8 +6,8 @@ import pytest
 from planted import PHI, SENSOR
 from small import RICH, problem, sessions
 
-from simgap.diagnosis.inference.noise import scatter
-from simgap.diagnosis.inference.noise_effect import Scatter
+from simgap.diagnosis.inference.noise import noise_effects
+from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.spectral_line import SEGMENT
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.diagnosis.likelihood.segments import cut
@@ -29,16 +29,18 @@ def shaken(recordings: list[Recording], output: int, hertz: float) -> list[Recor
     return out
 
 
-def told(training: list[Recording], heldout: list[Recording], before: list[Recording] | None = None) -> list[Scatter]:
+def told(
+    training: list[Recording], heldout: list[Recording], before: list[Recording] | None = None
+) -> list[NoiseEffect]:
     """What is told under the true simulator, by which nothing else is missing, and which a baseline has not."""
     bare = problem(training)
     v = start(bare)._replace(phi=jnp.asarray(PHI))
     of = bare._replace(whiten=whitening(evaluate(bare, v, ()).e))
     rows = lambda sessions: cut(sessions, 1 / RATE, least=len(of.chunks.row))  # noqa: E731
-    return scatter(of, evaluate(of, v, ()), rows(heldout), rows(before) if before else None)
+    return noise_effects(of, evaluate(of, v, ()), rows(heldout), rows(before) if before else None)
 
 
-def stepping(*sets: list[Recording]) -> list[Scatter]:
+def stepping(*sets: list[Recording]) -> list[NoiseEffect]:
     """What is told of it, whatever else is."""
     return [s for s in told(*sets) if s.id == "gait_oscillation"]
 

@@ -5,16 +5,16 @@ import pytest
 from planted import SCALES, SPOT
 from small import RICH, sessions
 
-from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.score_test import Screened, closer
 from simgap.diagnosis.likelihood.scales import measure
 
-KNOWN = candidates(SPOT, SCALES)
+KNOWN = hypotheses_of(SPOT, SCALES)
 
 
 def screened(name: str, *starts: float) -> list[Screened]:
-    (candidate,) = (c for c in KNOWN if c.name == name)
-    return [Screened(candidate, (start,), 0, 1.0, 1.0, 1.0, start) for start in starts]
+    (hypothesis,) = (c for c in KNOWN if c.name == name)
+    return [Screened(hypothesis, (start,), 0, 1.0, 1.0, 1.0, start) for start in starts]
 
 
 @pytest.mark.parametrize("seed", [RICH, 11, 12])
@@ -22,7 +22,7 @@ def test_limits_are_looked_for_out_to_where_few_rows_reach(seed: int) -> None:
     """From the usual to the extreme, the next start is within a factor of two, which closer looks bridge."""
     training, _ = sessions({}, seed)
     scales = measure(SPOT, training)
-    known = {c.name: c for c in candidates(SPOT, scales)}
+    known = {c.name: c for c in hypotheses_of(SPOT, scales)}
     hand = np.concatenate([r.state[:, 6:8] - r.state[:, :2] for r in training])
     extremes = [("reach_limit.horizontal on ee", float(np.median(scales.reach)), np.hypot(*hand.T).max())]
     for k, field in enumerate(SPOT.simulator.schema.command):
@@ -50,6 +50,6 @@ def test_where_all_other_starts_explode_there_is_nothing_between() -> None:
 
 def test_a_staircase_is_looked_for_at_odd_parts_and_on_single_commands() -> None:
     found = closer(screened("quantization on ee", 0.3, 0.27, 0.33), KNOWN)
-    assert {d.candidate.where for d in found} == {"ee", "cmd_ee_vx", "cmd_ee_vy", "cmd_ee_vz"}
-    for candidate in {d.candidate.where for d in found}:
-        assert {0.3, 0.1, 0.06} <= {round(d.values[0], 9) for d in found if d.candidate.where == candidate}
+    assert {d.hypothesis.where for d in found} == {"ee", "cmd_ee_vx", "cmd_ee_vy", "cmd_ee_vz"}
+    for hypothesis in {d.hypothesis.where for d in found}:
+        assert {0.3, 0.1, 0.06} <= {round(d.values[0], 9) for d in found if d.hypothesis.where == hypothesis}

@@ -7,7 +7,8 @@ from small import KEYS, RICH, acting, explain, problem, sessions
 
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.features import inside
-from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.hypotheses.space import hypotheses_of
+from simgap.diagnosis.hypotheses.support import From, Window
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.heldout import agrees
 from simgap.diagnosis.inference.score_test import Screened
@@ -88,15 +89,15 @@ def test_planted_effects_are_named_with_their_constants(
     key: str, constants: tuple[float, ...], sites: tuple[int, ...], more: dict
 ) -> None:
     found = explain(*sessions(acting(key, constants, sites), RICH, **more))
-    assert [m.candidate.effect.id for m in found.members] == [KEYS[key].id]
+    assert [m.hypothesis.effect.id for m in found.members] == [KEYS[key].id]
     (member,) = found.members
     assert member.odds[KEYS[key].id] > 0.9
     assert found.names(member)
-    assert member.candidate.effect.key == key
+    assert member.hypothesis.effect.key == key
     if key != "sensor_bias":  # of two positions only the difference counts: either may be off
-        assert member.candidate.sites == sites
+        assert member.hypothesis.sites == sites
     sd = found.sd.constants
-    for k, (constant, group) in enumerate(zip(KEYS[key].constants, member.candidate.groups, strict=True)):
+    for k, (constant, group) in enumerate(zip(KEYS[key].constants, member.hypothesis.groups, strict=True)):
         value, planted = float(found.fit.v.theta[group.entries[0]]), constants[k]
         if key == "ground_contact":  # its height is told from the recorded ones
             value = constant.physical(value, 0, found.problem.scales)
@@ -111,7 +112,7 @@ def test_planted_effects_are_named_with_their_constants(
 def test_nothing_is_claimed_where_nothing_is_planted(seed: int, noise: float) -> None:
     found = explain(*sessions({}, seed, noise))
     assert not found.members
-    assert not found.scattered
+    assert not found.noise_effects
     assert not found.supports
     assert found.rounds[0].screening.p_value > LEVEL
     assert not np.asarray(found.fit.v.theta).any()
@@ -158,10 +159,10 @@ def test_where_two_effects_look_alike_the_true_one_is_among_the_credible(
 def test_two_effects_are_found_together() -> None:
     planted = {**acting("delay", (1.4,), BASE), **acting("gravity_sag", (0.1,))}
     found = explain(*sessions(planted, RICH))
-    assert {m.candidate.effect.id for m in found.members} == {"delay", "gravity_sag"}
+    assert {m.hypothesis.effect.id for m in found.members} == {"delay", "gravity_sag"}
     truth = theta(planted)
     np.testing.assert_allclose(np.asarray(found.fit.v.theta), truth, atol=0.1 * truth.max(), rtol=0.1)
-    assert all(m.odds[m.candidate.effect.id] > 0.9 for m in found.members)
+    assert all(m.odds[m.hypothesis.effect.id] > 0.9 for m in found.members)
 
 
 @pytest.mark.parametrize("frame", ["world_frame", "own_frame"])
@@ -170,19 +171,19 @@ def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
     pushed = acting(f"external_push.{frame}", (0.25,), (1,))
     found = explain(*sessions({}, RICH, during=pushed, from_s=6.0, to_s=8.0, only=1))
     (member,) = found.members
-    assert member.candidate.effect.key == f"external_push.{frame}"
-    assert member.candidate.sites == (1,)
+    assert member.hypothesis.effect.key == f"external_push.{frame}"
+    assert member.hypothesis.sites == (1,)
     assert member.odds["external_push"] > 0.9
-    assert member.when is not None
-    assert member.when.session == 1
-    assert member.when.from_s == pytest.approx(6.0, abs=0.3)
-    assert member.when.to_s == pytest.approx(8.0, abs=0.3)
-    edges = posterior.edges(found.problem, found.fit, member.candidate, member.when)
+    assert isinstance(member.hypothesis.support, Window)
+    assert member.hypothesis.support.session == 1
+    assert member.hypothesis.support.from_s == pytest.approx(6.0, abs=0.3)
+    assert member.hypothesis.support.to_s == pytest.approx(8.0, abs=0.3)
+    edges = posterior.edges(found.problem, found.fit, member.hypothesis, member.hypothesis.support)
     for edge, truth in zip(edges, (6.0, 8.0), strict=True):
         low, high = edge["ci95"]
         assert low <= truth <= high
         assert high - low < 1.0
-    assert value_of(found.fit.v, member.candidate.groups[0]) == pytest.approx(0.25, rel=0.15)
+    assert value_of(found.fit.v, member.hypothesis.groups[0]) == pytest.approx(0.25, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -196,12 +197,17 @@ def test_what_is_nothing_over_all_sessions_is_found_with_its_beginning(
     found = explain(*sessions({}, RICH, during=acting(key, (constant,)), from_s=from_s, only=session))
     (member,) = found.members
     assert found.names(member)
-    assert member.candidate.effect.key == key
-    assert member.candidate.sites == (0,)
-    assert member.when is not None
-    assert member.when.session == session
-    assert member.when.from_s == pytest.approx(from_s, abs=0.2)
-    assert value_of(found.fit.v, member.candidate.groups[0]) == pytest.approx(constant, rel=0.15)
+    assert member.hypothesis.effect.key == key
+    assert member.hypothesis.sites == (0,)
+    match member.hypothesis.support:
+        case From(hidden_restriction):
+            assert session is None
+        case Window(of, hidden_restriction, _):
+            assert of == session
+        case other:
+            pytest.fail(f"it acts {other}")
+    assert hidden_restriction == pytest.approx(from_s, abs=0.2)
+    assert value_of(found.fit.v, member.hypothesis.groups[0]) == pytest.approx(constant, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -219,11 +225,11 @@ def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, 
     planted = acting(key, (constant,), (site,))
     found = explain(*sessions({}, RICH, during=planted, regime=regime))
     (member,) = found.members
-    assert member.candidate.effect.key == key
-    assert found.supports == (member.when,)
+    assert member.hypothesis.effect.key == key
+    assert found.supports == (member.hypothesis.support,)
     truth, told = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, *found.regimes))
     assert (truth & told).sum() > 0.85 * (truth | told).sum()
-    value, sd = value_of(found.fit.v, member.candidate.groups[0]), found.sd.constants[0]
+    value, sd = value_of(found.fit.v, member.hypothesis.groups[0]), found.sd.constants[0]
     assert value == pytest.approx(constant, abs=max(0.1 * abs(constant), 3 * sd))
     acts = found.acting(found.known())
     assert acts.regimes == found.regimes
@@ -237,13 +243,13 @@ def test_a_limit_that_is_seldom_reached_is_found(reach: float) -> None:
     found = explain(*sessions(acting("reach_limit.horizontal", (1 / reach,)), RICH))
     (member,) = found.members
     assert found.names(member)
-    assert member.candidate.effect.key == "reach_limit.horizontal"
-    assert 1 / float(found.fit.v.theta[member.candidate.groups[0].entries[0]]) == pytest.approx(reach, rel=0.01)
+    assert member.hypothesis.effect.key == "reach_limit.horizontal"
+    assert 1 / float(found.fit.v.theta[member.hypothesis.groups[0].entries[0]]) == pytest.approx(reach, rel=0.01)
 
 
 def test_a_limit_is_fitted_from_where_it_stands_best_not_from_the_direction_that_gains_most() -> None:
     """Of a limit far too tight a part gains most, which no share of its constant is."""
-    limit = next(c for c in candidates(SPOT, SCALES) if c.effect.key == "saturation")
+    limit = next(c for c in hypotheses_of(SPOT, SCALES) if c.effect.key == "saturation")
     tested = ((2.13, 65.5, 685.8), (2.05, 65.2, 99.8), (2.0, 64.9, 3.0), (1.9, 0.0, 0.0))
     found = [Screened(limit, (c,), 0, gain, 90.0, power, c) for c, gain, power in tested]
     (chosen,) = promising(found)

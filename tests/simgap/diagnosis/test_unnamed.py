@@ -11,11 +11,11 @@ from small import RICH, problem, sessions
 
 from examples.drive import DRIVE
 from simgap.diagnosis.hypotheses.library import Quantity, dictionary, quantities, values
-from simgap.diagnosis.hypotheses.space import candidates
+from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.impulse_response import direction, echoes, evidence, hear
 from simgap.diagnosis.inference.model import Model
-from simgap.diagnosis.inference.nonparametric import Law, unnamed
+from simgap.diagnosis.inference.nonparametric import Law, nonparametric_law
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, trials, whitening, with_value
 from simgap.diagnosis.likelihood.scales import measure
@@ -33,12 +33,14 @@ def fitted(training: list[Recording]) -> Model:
 def law_in(recorded: list[Recording], seed: int = 0) -> Law:
     training, heldout = recorded[:-1], recorded[-1:]
     model = fitted(training)
-    return unnamed(model, cut(heldout, 1 / 15, least=len(model.problem.chunks.row)), np.random.default_rng(seed), print)
+    return nonparametric_law(
+        model, cut(heldout, 1 / 15, least=len(model.problem.chunks.row)), np.random.default_rng(seed), print
+    )
 
 
 def drifting(of: Problem, v: Variables, where: str, size: float) -> Variables:
     """With a drift where the support is open."""
-    (drift,) = (c for c in candidates(of.augmented, of.scales) if c.name == f"body_frame_bias on {where}")
+    (drift,) = (c for c in hypotheses_of(of.augmented, of.scales) if c.name == f"body_frame_bias on {where}")
     return with_value(v, drift.groups[0]._replace(support=1), size)
 
 
@@ -123,7 +125,10 @@ def test_a_simulator_needs_no_ground_and_no_body(bodies: bool) -> None:
     of = Problem(augmented, measure(augmented, recorded), cut(recorded[:3], 0.02), np.eye(2))
     model = Model(of, *optimise(of, evaluate(of, start(of), ())))
     assert (
-        unnamed(model, cut(recorded[3:], 0.02, least=len(of.chunks.row)), np.random.default_rng(0), print).terms == ()
+        nonparametric_law(
+            model, cut(recorded[3:], 0.02, least=len(of.chunks.row)), np.random.default_rng(0), print
+        ).terms
+        == ()
     )
 
 

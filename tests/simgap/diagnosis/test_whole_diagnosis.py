@@ -61,7 +61,7 @@ def test_a_planted_delay_is_credible_and_nothing_else_is() -> None:
 def test_heldout_sessions_improve() -> None:
     fit = delayed().statement["fit"]
     assert fit["heldout_sessions"] == ["s3"]
-    assert set(fit["models"]) == {"as_is", "refitted", "augmented", "black_box"}
+    assert set(fit["models"]) == {"nominal", "refitted", "augmented", "black_box"}
     before, after = fit["models"]["refitted"], fit["models"]["augmented"]
     assert after["nll_1"]["value"] < before["nll_1"]["value"] - 0.1
     for horizon in (1, 10, 50):
@@ -115,15 +115,15 @@ def test_the_statement_is_json_with_all_keys(case) -> None:
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     assert set(told) >= {
         "schema", "simulator", "verdict", "located", "effects", "alternatives", "experiment", "parameters", "fit",
-        "statement", "resembles", "left_over",
+        "statement", "closest_matches", "whiteness",
     }  # fmt: skip
-    assert told["schema"] == 1
+    assert told["schema"] == 2
     assert told["simulator"] == "spot"
     assert set(told["located"]) >= {"outputs", "regimes", "intervals"}
-    assert set(told["parameters"]) >= {"before", "after"}
+    assert set(told["parameters"]) >= {"nominal", "fitted"}
     assert set(told["fit"]) >= {"heldout_sessions", "models", "explained_share"}
     names = [p.name for p in SPOT.parameters]
-    assert list(told["parameters"]["before"]) == list(told["parameters"]["after"]) == names
+    assert list(told["parameters"]["nominal"]) == list(told["parameters"]["fitted"]) == names
     for effect in told["effects"]:
         assert set(effect) >= {
             "id", "probability", "channels", "outputs", "statement", "constants", "credible_set", "gain_nats",
@@ -164,7 +164,7 @@ def test_a_wrong_parameter_is_told_as_such() -> None:
     told = diagnose(SPOT, "spot", Sessions(*sessions({}, RICH, phi=phi))).statement
     assert told["verdict"] == "parameters_only"
     assert told["effects"] == []
-    before, after = told["parameters"]["before"], told["parameters"]["after"]
+    before, after = told["parameters"]["nominal"], told["parameters"]["fitted"]
     assert before["alpha_1"] == pytest.approx(0.5)
     assert after["alpha_1"] == pytest.approx(0.15, abs=0.05)
     assert after["gamma_3"] == pytest.approx(1.5, abs=0.05)

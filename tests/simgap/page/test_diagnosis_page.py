@@ -46,7 +46,7 @@ def parameters(moved: tuple[str, ...]) -> dict[str, Any]:
         before[name] = low + (high - low) * rng.uniform(0.3, 0.7)
         after[name] = before[name] + half * (rng.choice([-4, 3]) if name in moved else rng.uniform(-0.6, 0.6))
         ci95[name] = [after[name] - half, after[name] + half]
-    return {"before": before, "after": after, "ci95": ci95, "units": units, "ranges": ranges}
+    return {"nominal": before, "fitted": after, "ci95": ci95, "units": units, "ranges": ranges}
 
 
 def strips(strength: float) -> list[dict[str, Any]]:
@@ -72,7 +72,7 @@ def heat(strength: float) -> dict[str, Any]:
 
 def rollouts(models: tuple[str, ...]) -> list[dict[str, Any]]:
     rng = np.random.default_rng(4)
-    off = {"as_is": 0.5, "refitted": 0.25, "augmented": 0.03, "black_box": 0.05}
+    off = {"nominal": 0.5, "refitted": 0.25, "augmented": 0.03, "black_box": 0.05}
     panels = []
     for k, (output, unit) in enumerate(zip(OUTPUTS, UNITS, strict=True)):
         truth = np.sin(TIME / 3 + k) + 0.3 * np.sin(TIME * 1.7)
@@ -90,17 +90,18 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
         "id": "delay", "probability": 0.97, "channels": COMMANDS[:3], "outputs": OUTPUTS[3:6],
         "statement": "Commands to the base act 0.134 s after they were sent: two of the controller's steps.",
         "constants": [{"name": "delay", "value": 0.13412, "unit": "s", "ci95": [0.129, 0.139]}],
-        "credible_set": ["delay"], "gain_nats": 812.0, "heldout_gain_nats": 301.4, "from_s": None,
+        "credible_set": ["delay"], "gain_nats": 812.0, "heldout_gain_nats": 301.4, "support": {"kind": "always"},
     }  # fmt: skip
     reach = {
         "id": "reach_limit", "probability": 0.81, "channels": COMMANDS[3:5], "outputs": OUTPUTS[9:11],
         "statement": "Beyond a reach of 0.93 m the hand cannot follow outward commands.",
         "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}],
-        "credible_set": ["reach_limit", "saturation"], "gain_nats": 164.2, "heldout_gain_nats": 58.3, "from_s": 12.3,
+        "credible_set": ["reach_limit", "saturation"], "gain_nats": 164.2, "heldout_gain_nats": 58.3,
+        "support": {"kind": "from", "from_s": 12.3},
     }  # fmt: skip
     effects = ["lag", "rate_limit", "saturation", "reach_limit", "gain", "slope", "viscous_drag", "gait_oscillation"]
     diagnosis = {
-        "schema": 1, "simulator": "spot", "verdict": "missing_physics",
+        "schema": 2, "simulator": "spot", "verdict": "missing_physics",
         "statement": "The simulator leaves out that commands to the base act 0.13 s late, and that the hand cannot "
                      "follow outward commands beyond a reach of 0.93 m. Together they account for 93 % of the error "
                      "that can be removed.",
@@ -108,8 +109,8 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
                        "duration_s": 174.3, "baseline": None},
         "located": {"outputs": [{"name": n, "excess": e} for n, e in
                                 zip(["base_vx", "base_wz", "ee_vx", "ee_vy"], [0.41, 0.33, 0.56, 0.12], strict=True)],
-                    "regimes": [{"when": "reach > 0.93 m", "share": 0.31, "rows": 0.08},
-                                {"when": "command of the base just changed", "share": 0.52, "rows": 0.2}],
+                    "regimes": [{"regime": "reach > 0.93 m", "share": 0.31, "rows": 0.08},
+                                {"regime": "command of the base just changed", "share": 0.52, "rows": 0.2}],
                     "intervals": INTERVALS},
         "effects": [delay, reach],
         "alternatives": [{"effects": ["delay", "saturation"], "probability": 0.16},
@@ -118,25 +119,25 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
                        "commands": "experiment.csv", "separates": ["reach_limit", "saturation"]},
         "parameters": parameters(("alpha_1", "alpha_3", "gamma_4")),
         "fit": {"heldout_sessions": HELDOUT, "explained_share": 0.93, "explained_share_ci95": [0.88, 0.97],
-                "models": {"as_is": scores(-21.3, 0.31, 0.62, 1.84, 0.41, 0.52),
+                "models": {"nominal": scores(-21.3, 0.31, 0.62, 1.84, 0.41, 0.52),
                            "refitted": scores(-24.9, 0.22, 0.41, 0.93, 0.22, 0.3),
                            "augmented": scores(-31.2, 0.13, 0.17, 0.29, 0.07, 0.09),
                            "black_box": scores(-30.8, 0.12, 0.18, 0.33, 0.09, 0.09)}},
-        "sensitivity": {"chance": 0.9, "effects": [
+        "sensitivity": {"power": 0.9, "effects": [
             {"effect": "delay", "where": "cmd_base_vx", "constant": "delay", "size": 0.0123, "unit": "s"},
             {"effect": "delay", "where": "cmd_ee_vz", "constant": "delay", "size": None, "unit": "s"},
             {"effect": "slope", "where": "base", "constant": "pull x", "size": None, "unit": "-"}]},
         "rounds": [
             {"threshold_nats": 11.4, "p_value": 0.002, "accepted": "delay on base",
-             "candidates": [{"effect": "delay", "where": "base", "gain_nats": 812.0}] +
+             "hypotheses": [{"effect": "delay", "where": "base", "gain_nats": 812.0}] +
                            [{"effect": e, "where": w, "gain_nats": 640.0 / (k + 1) ** 2} for k, (e, w) in
                             enumerate((e, w) for e in effects for w in ("base", "ee"))]},
             {"threshold_nats": 11.6, "p_value": 0.002, "accepted": "reach_limit on ee",
-             "candidates": [{"effect": "reach_limit", "where": "ee", "gain_nats": 164.2},
+             "hypotheses": [{"effect": "reach_limit", "where": "ee", "gain_nats": 164.2},
                             {"effect": "saturation", "where": "ee", "gain_nats": 160.1},
                             {"effect": "gain", "where": "ee", "gain_nats": 31.0}]},
             {"threshold_nats": 11.2, "p_value": 0.44, "accepted": None,
-             "candidates": [{"effect": "gain", "where": "cmd_ee_vz", "gain_nats": 5.2},
+             "hypotheses": [{"effect": "gain", "where": "cmd_ee_vz", "gain_nats": 5.2},
                             {"effect": "coulomb_friction", "where": "base_vx", "gain_nats": 3.9},
                             {"effect": "slope", "where": "base", "gain_nats": -0.4}]}],
         "notes": ["Session reach_d has 3 outliers; they were kept, with heavy-tailed noise."],
@@ -145,7 +146,8 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
     bins = np.linspace(0.02, 0.38, 13)
     commanded = np.where(TIME < 4, 0.2, np.where(TIME < 8, 0.4, np.where(TIME < 12, 0.6, -0.6)))
     evidence = {
-        "heat": heat(0.4), "strips": strips(0.7), "rollouts": rollouts(("as_is", "refitted", "augmented", "black_box")),
+        "heat": heat(0.4), "strips": strips(0.7),
+        "rollouts": rollouts(("nominal", "refitted", "augmented", "black_box")),
         "laws": [
             {"effect": "delay", "title": "Response to a command of 1", "x_label": "time since the command [s]",
              "y_label": "share of the command [-]", "x": bins, "y": (bins > 0.134) * 0.95, "y_err": 0.04 + 0 * bins,
@@ -165,7 +167,7 @@ def nothing() -> tuple[dict[str, Any], dict[str, Any]]:
     """A simulator that is right: no effect, no augmented model, no experiment."""
     diagnosis, evidence = missing_physics()
     models = {
-        m: scores(-30 - k, 0.13, 0.17, 0.29, 0.07, 0.09) for k, m in enumerate(("as_is", "refitted", "black_box"))
+        m: scores(-30 - k, 0.13, 0.17, 0.29, 0.07, 0.09) for k, m in enumerate(("nominal", "refitted", "black_box"))
     }
     diagnosis |= {
         "verdict": "nothing", "effects": [], "alternatives": [], "experiment": None, "notes": [],
@@ -175,7 +177,7 @@ def nothing() -> tuple[dict[str, Any], dict[str, Any]]:
         "rounds": diagnosis["rounds"][2:],
     }  # fmt: skip
     evidence |= {"heat": heat(0.0), "strips": strips(0.0), "laws": [], "experiment": None,
-                 "rollouts": rollouts(("as_is", "refitted", "black_box"))}  # fmt: skip
+                 "rollouts": rollouts(("nominal", "refitted", "black_box"))}  # fmt: skip
     return diagnosis, evidence
 
 
@@ -268,7 +270,7 @@ def test_missing_physics_is_described_from_headline_to_notes(pages: dict[str, st
              "walk_a, 6.7 to 9.3 s (12 % of all excess)", "What is missing?", "97 % probable", "0.134 s",
              "0.129 to 0.139",
              "812.0 nats on the sessions fitted, 301.4 nats on held-out", "credible set is delay alone",
-             "12.3 s into the session", "One of: reach limit, saturation", "How good are the forecasts?",
+             "from 12.3 s on", "One of: reach limit, saturation", "How good are the forecasts?",
              "removes 93 % (95 % interval 88 % to 97 %)", "Error after 50 steps", "Error of base after 50 steps m",
              "What else could it be?", "delay with saturation", "The experiment that would decide",
              "experiment.csv", "How did the parameters change?", "3 of 24 parameters moved",
@@ -307,8 +309,8 @@ def test_effects_of_one_id_show_each_its_own_pictures() -> None:
 
 def test_the_regime_of_an_effect_stands_on_its_card() -> None:
     diagnosis, evidence = missing_physics()
-    diagnosis["effects"][0]["regime"] = "base height > 0.4 m"
-    assert "acts where base height > 0.4 m" in re.sub(r"(where)(\S)", r"\1 \2", text(page(diagnosis, evidence)))
+    diagnosis["effects"][0]["support"] = {"kind": "regime", "regime": "base height > 0.4 m"}
+    assert "acts where base height > 0.4 m" in text(page(diagnosis, evidence))
 
 
 def test_a_law_without_a_name_is_listed_term_by_term() -> None:
@@ -316,10 +318,10 @@ def test_a_law_without_a_name_is_listed_term_by_term() -> None:
     terms = [{"axis": "base_vx", "depends_on": ["base_x", "base_y"], "gain_nats": 41.26},
              {"axis": "ee_vz", "depends_on": ["reach"], "gain_nats": 17.0}]  # fmt: skip
     assert "a push without a name" not in text(page(diagnosis, evidence))
-    said = text(page(diagnosis | {"law": terms}, evidence))
+    said = text(page(diagnosis | {"nonparametric": terms}, evidence))
     assert "on base_vx: base_x and base_y 41.3 nats" in said
     assert "In addition, a push without a name acts on the machine" in said
-    unnamed = text(page(diagnosis | {"law": terms, "effects": []}, evidence))
+    unnamed = text(page(diagnosis | {"nonparametric": terms, "effects": []}, evidence))
     assert "A push without a name acts on the machine" in unnamed
     assert "on ee_vz: reach 17.0 nats" in said
 
@@ -355,7 +357,7 @@ def test_hostile_names_are_text(hostile: str) -> None:
     diagnosis["recordings"]["training_sessions"] = [hostile]
     diagnosis["recordings"]["baseline"] = hostile
     diagnosis["located"] = {"outputs": [{"name": hostile, "excess": 0.5}],
-                            "regimes": [{"when": hostile, "share": 0.5, "rows": 0.1}],
+                            "regimes": [{"regime": hostile, "share": 0.5, "rows": 0.1}],
                             "intervals": [{"session": hostile, "from_s": 1.0, "to_s": 2.0, "share": 0.1}]}  # fmt: skip
     diagnosis["notes"] = diagnosis["fit"]["heldout_sessions"] = [hostile]
     diagnosis |= {"statement": hostile, "simulator": hostile}
@@ -390,7 +392,7 @@ def test_unknown_numbers_are_dashes() -> None:
     diagnosis, _ = missing_physics()
     diagnosis["effects"][0]["constants"][0] |= {"value": None, "ci95": None}
     diagnosis["effects"][1] |= {"heldout_gain_nats": float("nan"), "constants": []}
-    del diagnosis["fit"]["models"]["as_is"]["error_10"]
+    del diagnosis["fit"]["models"]["nominal"]["error_10"]
     diagnosis["fit"]["models"]["black_box"] = {"nll_1": {"value": -30.0, "ci95": None}}
     diagnosis["fit"]["models"]["refitted"]["note_of_another_kind"] = {"value": 1.25e-6, "ci95": [None, None]}
     diagnosis["parameters"]["ci95"] = diagnosis["parameters"]["ranges"] = {}
@@ -411,13 +413,13 @@ def test_a_page_is_the_same_for_the_same_diagnosis_and_leaves_it_alone() -> None
 def test_scores_that_span_magnitudes_are_on_a_logarithmic_scale() -> None:
     diagnosis, _ = missing_physics()
     assert ">log<" not in page(diagnosis, {})
-    diagnosis["fit"]["models"]["as_is"]["error_50"] = {"value": 3e7, "ci95": None}
+    diagnosis["fit"]["models"]["nominal"]["error_50"] = {"value": 3e7, "ci95": None}
     assert page(diagnosis, {}).count(">log<") == 1
 
 
 def test_a_diverged_rollout_does_not_hide_the_others() -> None:
-    panel = rollouts(("as_is",))[0]
-    diverged = panel | {"as_is": np.where(TIME > 5, np.inf, np.exp(TIME * 9)), "measured": np.full(300, np.nan)}
+    panel = rollouts(("nominal",))[0]
+    diverged = panel | {"nominal": np.where(TIME > 5, np.inf, np.exp(TIME * 9)), "measured": np.full(300, np.nan)}
     for drawn in (diverged, diverged | {"measured": panel["measured"]}):
         assert b"</svg>" in diagnosis_plots.rollouts([drawn])
 

@@ -18,35 +18,36 @@ PAGE = Path(__file__).parents[3] / "simgap" / "page"
 EFFECT = {
     "id": "reach_limit", "form": "", "where": "ee", "probability": 0.81, "channels": ["cmd_ee_vx"],
     "outputs": ["ee_vx"], "statement": "Beyond a reach of 0.93 m the hand cannot follow outward commands.",
-    "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}], "regime": "height > 0.4 m",
-    "credible_set": ["reach_limit", "rate_limit"], "gain_nats": 164.2, "heldout_gain_nats": 58.3, "from_s": 12.3,
+    "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}],
+    "support": {"kind": "regime", "regime": "height > 0.4 m"},
+    "credible_set": ["reach_limit", "rate_limit"], "gain_nats": 164.2, "heldout_gain_nats": 58.3,
 }  # fmt: skip
 STATEMENT: dict[str, Any] = {
     "simulator": "spot", "verdict": "missing_physics", "statement": "The simulator leaves out the reach limit.",
-    "warnings": ["The refitted simulator is worse."], "something_else": True,
+    "warnings": ["The refitted simulator is worse."], "more_missing": True,
     "recordings": {"training_sessions": ["walk"], "heldout_sessions": ["turn"], "baseline": ["before"]},
-    "located": {"outputs": [{"name": "ee_vx", "excess": 0.5}], "regimes": [{"when": "reach > 0.9 m", "share": 0.4}],
+    "located": {"outputs": [{"name": "ee_vx", "excess": 0.5}], "regimes": [{"regime": "reach > 0.9 m", "share": 0.4}],
                 "intervals": [{"session": "walk", "from_s": 1.0, "to_s": 2.0, "share": 0.1}]},
-    "effects": [EFFECT], "resembles": [EFFECT],
-    "left_over": {"nats": 9.0, "outputs": [{"name": "ee_vx", "share": 0.1}]},
-    "law": [{"axis": "ee_vx", "depends_on": ["reach", "ee_x"], "gain_nats": 20.0}],
+    "effects": [EFFECT], "closest_matches": [EFFECT],
+    "whiteness": {"nats": 9.0, "outputs": [{"name": "ee_vx", "share": 0.1}]},
+    "nonparametric": [{"axis": "ee_vx", "depends_on": ["reach", "ee_x"], "gain_nats": 20.0}],
     "alternatives": [{"effects": ["rate_limit"], "probability": 0.19}],
     "experiment": {"statement": "To separate reach limit from rate limit, push.", "commands": "experiment.csv",
                    "separates": ["reach_limit", "rate_limit"]},
-    "parameters": {"before": {"alpha": 0.1}, "after": {"alpha": 0.2}, "ci95": {"alpha": [0.1, 0.3]},
+    "parameters": {"nominal": {"alpha": 0.1}, "fitted": {"alpha": 0.2}, "ci95": {"alpha": [0.1, 0.3]},
                    "units": {"alpha": "m"}, "ranges": {"alpha": [0.0, 1.0]}},
     "fit": {"heldout_sessions": ["turn"], "explained_share": 0.9,
-            "models": {"as_is": {"error_50": {"value": 0.5, "ci95": [0.4, 0.6]}}}},
-    "sensitivity": {"chance": 0.9, "effects": [
+            "models": {"nominal": {"error_50": {"value": 0.5, "ci95": [0.4, 0.6]}}}},
+    "sensitivity": {"power": 0.9, "effects": [
         {"effect": "rate_limit", "where": "ee", "constant": "limit", "size": 0.1, "unit": "m/s/s"},
         {"effect": "rate_limit", "where": "base", "constant": "limit", "size": None, "unit": "m/s/s"}]},
     "rounds": [{"threshold_nats": 11.4, "p_value": 0.002, "accepted": "reach_limit.horizontal on ee",
-                "candidates": [{"effect": "reach_limit.horizontal", "where": "ee", "gain_nats": 164.2}]}],
+                "hypotheses": [{"effect": "reach_limit.horizontal", "where": "ee", "gain_nats": 164.2}]}],
     "notes": ["Could not test rate limit on base."],
 }  # fmt: skip
 HEAT = {"outputs": ["ee_vx"], "regimes": ["reach > 0.9 m"], "values": [[0.3]], "top": 0.5}
 LAW = {"effect": "reach_limit", "form": "", "where": "ee", "title": "Law", "caption": "A line", "svg": b"<svg/>"}
-ROLLOUT = {"session": "turn", "models": ["as_is"], "svg": b"<svg/>"}
+ROLLOUT = {"session": "turn", "models": ["nominal"], "svg": b"<svg/>"}
 SHOWN = {"heat": HEAT, "laws": [LAW], "rollouts": [ROLLOUT], "commands": {"svg": b"<svg/>", "still": ["cmd_ee_vz"]}}
 KEPT = {"verdict", "models", "svg"}
 """What the program itself writes: none of it is a user's text."""
@@ -133,7 +134,7 @@ def test_nothing_in_the_package_switches_escaping_off() -> None:
 @settings(deadline=None)
 def test_a_headline_has_at_most_25_words(sets: list[list[str]], more: bool, verdict: str) -> None:
     effects = [{"id": names[0], "credible_set": names, "gain_nats": float(k)} for k, names in enumerate(sets)]
-    said = wording.headline({"verdict": verdict, "effects": effects, "something_else": more})
+    said = wording.headline({"verdict": verdict, "effects": effects, "more_missing": more})
     assert 0 < len(said.split()) <= 25
 
 
@@ -156,7 +157,7 @@ def test_an_effect_has_one_name() -> None:
 def test_a_round_that_tries_an_accepted_effect_again_is_a_retest() -> None:
     (search,) = STATEMENT["rounds"]
     again = search | {"accepted": None}
-    other = again | {"candidates": [{"effect": "rate_limit", "where": "ee", "gain_nats": 9.0}]}
+    other = again | {"hypotheses": [{"effect": "rate_limit", "where": "ee", "gain_nats": 9.0}]}
     words = Outline(page(STATEMENT | {"rounds": [search, other, again]}, Figures())).words
     assert "Round 2: nothing accepted" in words
     assert "Round 3: re-test of reach limit (horizontal) on ee, accepted before" in words
@@ -164,7 +165,7 @@ def test_a_round_that_tries_an_accepted_effect_again_is_a_retest() -> None:
 
 def test_what_noise_alone_gains_has_no_threshold_and_every_candidate_one_bar() -> None:
     candidates = [{"effect": "gain", "where": "ee", "gain_nats": g} for g in (9.0, 8.0)]
-    last = {"threshold_nats": 5.0, "p_value": 0.3, "accepted": None, "candidates": candidates}
+    last = {"threshold_nats": 5.0, "p_value": 0.3, "accepted": None, "hypotheses": candidates}
     (shown,) = tried({"rounds": [last]})["rounds"]
     assert (shown["threshold"], len(shown["rows"])) == ("", 1)
     (passed,) = tried({"rounds": [last | {"p_value": 0.001}]})["rounds"]

@@ -24,10 +24,10 @@ def statement(engine: MujocoEngine, verdict: str, **more: Any) -> dict[str, Any]
     """What the account reads of a diagnosis that left the parameters where it started."""
     values = {p.name: p.nominal for p in engine.parameters}
     ends = {name: [value, value] for name, value in values.items()}
-    parameters = {"before": values, "after": values, "ci95": ends, "ranges": ends}
-    seen = {"effects": [], "chance": 0.9}
-    return {"verdict": verdict, "statement": "Nothing.", "warnings": [], "notes": [], "effects": [], "resembles": [],
-            "parameters": parameters, "sensitivity": seen, **more}  # fmt: skip
+    parameters = {"nominal": values, "fitted": values, "ci95": ends, "ranges": ends}
+    seen = {"effects": [], "power": 0.9}
+    return {"verdict": verdict, "statement": "Nothing.", "warnings": [], "notes": [], "effects": [],
+            "closest_matches": [], "parameters": parameters, "sensitivity": seen, **more}  # fmt: skip
 
 
 def model(engine: MujocoEngine, **terms: float) -> Any:
@@ -49,8 +49,8 @@ def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine
     assert [told[key][0].startswith(words) for key in ("warnings", "notes")] == [True, True]
     assert told["statement"].startswith(f"{words} The diagnosis starts from there: the simulator as it is has kp divi")
     assert "parameters were off and are refitted" in told["statement"]
-    assert told["parameters"]["before"]["kp pan"] == 60
-    assert told["parameters"]["after"]["kp pan"] == pytest.approx(60 / 110)
+    assert told["parameters"]["nominal"]["kp pan"] == 60
+    assert told["parameters"]["fitted"]["kp pan"] == pytest.approx(60 / 110)
     kp = {c["element"]: float(c["after"]) for c in told["patched"]["changes"]}
     assert kp == pytest.approx(
         {f"actuator {a}": k / 110 for a, k in (("pan", 60), ("shoulder", 80), ("elbow", 40))}, rel=1e-4
@@ -64,8 +64,8 @@ def test_a_model_that_is_not_stays_what_it_was_said_to_be(engine: MujocoEngine) 
 
 
 def effect(id: str, where: str, outputs: list[str], **more: Any) -> dict[str, Any]:
-    return {"id": id, "where": where, "outputs": outputs, "channels": [], "constants": [], "from_s": None,
-            "regime": None, "statement": f"{id} on {where}.", **more}  # fmt: skip
+    return {"id": id, "where": where, "outputs": outputs, "channels": [], "constants": [],
+            "support": {"kind": "always"}, "statement": f"{id} on {where}.", **more}  # fmt: skip
 
 
 def test_only_named_effects_are_written(engine: MujocoEngine) -> None:
@@ -79,7 +79,7 @@ def test_only_named_effects_are_written(engine: MujocoEngine) -> None:
     told = account(
         engine,
         model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.2, payload_forearm=0.4),
-        statement(engine, "missing_physics", effects=[named], resembles=matches),
+        statement(engine, "missing_physics", effects=[named], closest_matches=matches),
         "arm.patched.xml",
     )
     changes = [(c["element"], c["attribute"], c["after"]) for c in told["patched"]["changes"]]
@@ -106,7 +106,10 @@ def test_an_effect_that_joints_share_is_written_at_each(engine: MujocoEngine) ->
 
 
 def test_what_mjcf_has_no_word_for_is_listed_with_the_reason(engine: MujocoEngine) -> None:
-    effects = [effect("backlash", "cmd_pan", []), effect("delay", "cmd_pan", [], from_s=3.0)]
+    effects = [
+        effect("backlash", "cmd_pan", []),
+        effect("delay", "cmd_pan", [], support={"kind": "from", "from_s": 3.0}),
+    ]
     told = account(engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml")
     assert told["patched"]["changes"] == []
     assert told["patched"]["unwritten"] == [

@@ -1,0 +1,77 @@
+"""Statements of diagnoses as files: written in the present layout, read in the one before it as well."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from simgap.diagnosis.report.schema import NO_LIMITS, SCHEMA
+from simgap.formats.documents import read_json
+from simgap.types import SimgapError
+
+_PARTS = {
+    "something_else": "more_missing", "resembles": "closest_matches", "left_over": "whiteness", "law": "nonparametric",
+}  # fmt: skip
+_PARAMETERS = {"before": "nominal", "after": "fitted"}
+_SENSITIVITY = {
+    "chance": "power", "hidden_effects": "undetectable_effects", "hidden_channels": "unexcited_channels",
+}  # fmt: skip
+_MODELS = {"as_is": "nominal"}
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A statement in the present layout; SimgapError where the file holds none, or one of a later version."""
+    found = read_json(path)
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema not in (1, SCHEMA):
+        raise SimgapError(f"{path}: `schema` is {schema}; this version of simgap reads 1 and {SCHEMA}. Diagnose again.")
+    return upgraded(found) if schema == 1 else found
+
+
+def upgraded(statement: Mapping[str, Any]) -> dict[str, Any]:
+    """A statement of layout 1 in layout 2; parts that it lacks stay away."""
+    found = _renamed(statement, _PARTS) | {"schema": SCHEMA}
+    for part, change in (
+        ("effects", lambda effects: [_effect(e) for e in effects]),
+        ("closest_matches", lambda effects: [_effect(e) for e in effects]),
+        ("parameters", lambda parameters: _renamed(parameters, _PARAMETERS)),
+        ("sensitivity", lambda seen: _renamed(seen, _SENSITIVITY)),
+        ("rounds", lambda rounds: [_renamed(r, {"candidates": "hypotheses"}) for r in rounds]),
+        ("located", lambda located: _located(located)),
+        ("fit", lambda fit: _fit(fit)),
+        ("replay", lambda replay: _replay(replay)),
+    ):
+        if found.get(part):
+            found[part] = change(found[part])
+    return found
+
+
+def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    return {names.get(name, name): value for name, value in values.items()}
+
+
+def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
+    """With a support in place of a time and a regime."""
+    found = dict(effect)
+    from_s, regime = found.pop("from_s", None), found.pop("regime", None)
+    ends = {c["name"]: c["value"] for c in found.get("constants", [])}
+    if regime is not None:
+        support = {"kind": "regime", "regime": regime}
+    elif "to" in ends:
+        support = {"kind": "window", "from_s": from_s, "to_s": ends["to"]}
+    else:
+        support = {"kind": "always"} if from_s is None else {"kind": "from", "from_s": from_s}
+    return {**found, "support": NO_LIMITS | support}
+
+
+def _located(located: Mapping[str, Any]) -> dict[str, Any]:
+    return {**located, "regimes": [_renamed(r, {"when": "regime"}) for r in located.get("regimes", [])]}
+
+
+def _fit(fit: Mapping[str, Any]) -> dict[str, Any]:
+    worse = [{**w, **{key: _MODELS.get(w[key], w[key]) for key in ("model", "than")}} for w in fit.get("worse", [])]
+    return {**fit, "models": _renamed(fit.get("models", {}), _MODELS), "worse": worse}
+
+
+def _replay(replay: Mapping[str, Any]) -> dict[str, Any]:
+    positions = [{**p, "errors": _renamed(p["errors"], _MODELS)} for p in replay.get("positions", [])]
+    return {**replay, "positions": positions}
