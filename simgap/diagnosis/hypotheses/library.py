@@ -1,6 +1,6 @@
-"""What a law without a name may be made of: smooth functions of the robot's motion, its place, and its commands.
+"""Functions that a nonparametric law may consist of: smooth functions of the robot's motion, place and commands.
 
-Waves of one quantity, products of two, one quantity by the sign of another, and waves over the ground.
+Cosines of one quantity, products of two, one quantity times the sign of another, and plane waves over the ground.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,25 +18,25 @@ from simgap.layout import Layout, X, Y
 from simgap.rows import by_row
 
 WAVES = 8
-"""Half waves of one quantity over its range, at most;"""
+"""Most half waves of one quantity over its range."""
 SLOW_WAVES = 2
-"""of a mean over the past, of which a line and a bow are enough."""
+"""The same for a mean over the past: a line and a bow are enough."""
 MEMORIES = (0.3, 1.0, 3.0)
 """Time constants [s] of means over the past."""
 HEADINGS = tuple(np.arange(6) * np.pi / 6)
-"""Directions [rad] of waves over the ground, and"""
+"""Directions [rad] of waves over the ground."""
 SHORTEST, LENGTHS = 0.3, 10
-"""their shortest length [m], and how many lengths from there to twice the ground's extent."""
+"""Their shortest wavelength [m], and the number of wavelengths from there to twice the ground's extent."""
 FAR = 4.0
-"""Standard deviations at which a quantity in a product is cut off."""
+"""Standard deviations at which a quantity in a product is clipped."""
 STILL = 1e-6
-"""Standard deviation of a quantity that does not vary."""
+"""Standard deviation up to which a quantity counts as constant."""
 _Values = Float[np.ndarray, "... q"]
 
 
 class Quantity(NamedTuple):
-    """Something that a law may depend on; past: a mean over the rows before; ground: along which of the world's axes
-    it is a place (None for no place)."""
+    """Something that a law may depend on; past: it is a mean over earlier rows; ground: the world axis of a place on
+    the ground, else None."""
 
     name: str
     past: bool = False
@@ -44,14 +44,14 @@ class Quantity(NamedTuple):
 
 
 class Function(NamedTuple):
-    """One function of quantities: the names of those, and what it makes of their values."""
+    """One function of quantities: the names of its arguments, and its value from the values of all quantities."""
 
     depends_on: tuple[str, ...]
     of: Callable[[_Values], Float[np.ndarray, "..."]]
 
 
 def quantities(layout: Layout) -> list[Quantity]:
-    """What is measured by `values`, in its order."""
+    """The quantities that `values` returns, in its order."""
     moves, commands = _moving(layout), [f.name for f in layout.schema.command]
     names = seen_names(layout)
     places = [Quantity(layout.schema.state[i].name, ground=axis) for i, axis in _places(layout)]
@@ -61,13 +61,13 @@ def quantities(layout: Layout) -> list[Quantity]:
 
 
 def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
-    """All quantities in every row of the chunks: of the state, as it is estimated."""
+    """All quantities in every row of the segments, from the estimated state."""
     layout, chunks = problem.augmented.layout, problem.chunks
     state = estimates(problem, v)
     command = np.asarray(chunks.command)[:, :-1]
     now = by_row(seen, layout, state, command)
     places = state[..., [i for i, _ in _places(layout)]]
-    # Commands are known for a while before a chunk, motion is not.
+    # Before a segment some commands are known, but no motion.
     sent, moved = sent_until(chunks), now[..., _moving(layout)]
     fading = np.exp(-problem.scales.time_step / np.array(MEMORIES))
     slow = [m for kept in fading for m in (_mean(sent, kept)[:, -command.shape[1] :], _mean(moved, kept))]
@@ -75,41 +75,41 @@ def values(problem: Problem, v: Variables) -> Float[np.ndarray, "C T-1 q"]:
 
 
 def sent_until(chunks: Chunks) -> Float[np.ndarray, "C h+T-1 u"]:
-    """The commands of every row but the last, with those before the chunk, the earliest first."""
+    """The commands before the segment and in every row but the last, earliest first."""
     return np.concatenate([np.asarray(chunks.past)[:, ::-1], np.asarray(chunks.command)[:, :-1]], axis=1)
 
 
 def _moving(layout: Layout) -> list[int]:
-    """Which of the names are velocities of a body."""
+    """Indices of the names that are velocities of a body."""
     return list(range(4 * len(layout.bodies)))
 
 
 def _places(layout: Layout) -> list[tuple[int, int]]:
-    """State index and axis of every place on the ground, x and y of a body side by side."""
+    """State index and axis of every place on the ground; x and y of a body are adjacent."""
     table = layout.position[:, [X, Y]]
     return [(int(i), axis) for columns in table for axis, i in zip((X, Y), columns, strict=True) if i >= 0]
 
 
 def _mean(series: Float[np.ndarray, "C n q"], kept: float) -> Float[np.ndarray, "C n q"]:
-    """Mean over the past, of weights of which this share is kept from row to row."""
-    found = np.array(series)
+    """Exponential moving average; `kept` is the share of the weights that is kept from row to row."""
+    mean = np.array(series)
     for t in range(1, series.shape[1]):
-        found[:, t] = kept * found[:, t - 1] + (1 - kept) * series[:, t]
-    return found
+        mean[:, t] = kept * mean[:, t - 1] + (1 - kept) * series[:, t]
+    return mean
 
 
 def dictionary(known: Sequence[Quantity], z: Float[np.ndarray, "n q"]) -> list[Function]:
-    """The functions of those quantities that vary in these rows, none of them with a mean there."""
+    """Functions of the quantities that vary in these rows, each with zero mean there."""
     varying = [i for i in range(len(known)) if z[:, i].std() > STILL]
     present = [i for i in varying if not known[i].past]
-    found = [_wave(known, z, i, halves) for i in varying
-             for halves in range(1, 1 + (SLOW_WAVES if known[i].past else WAVES))]  # fmt: skip
-    found += [_product(known, z, i, j) for i, j in combinations_with_replacement(present, 2)]
-    found += [_by_sign(known, z, i, j) for i, j in permutations(present, 2) if known[i].ground is None]
+    functions = [_wave(known, z, i, halves) for i in varying
+                 for halves in range(1, 1 + (SLOW_WAVES if known[i].past else WAVES))]  # fmt: skip
+    functions += [_product(known, z, i, j) for i, j in combinations_with_replacement(present, 2)]
+    functions += [_by_sign(known, z, i, j) for i, j in permutations(present, 2) if known[i].ground is None]
     for i, j in pairwise(present):
         if (known[i].ground, known[j].ground) == (X, Y):
-            found += _over_ground(known, z, i, j)
-    return [_without_mean(f, z) for f in found]
+            functions += _over_ground(known, z, i, j)
+    return [_without_mean(f, z) for f in functions]
 
 
 def _wave(known: Sequence[Quantity], z: _Values, i: int, halves: int) -> Function:
@@ -136,15 +136,15 @@ def _by_sign(known: Sequence[Quantity], z: _Values, i: int, j: int) -> Function:
 def _over_ground(known: Sequence[Quantity], z: _Values, i: int, j: int) -> list[Function]:
     middle = z[:, [i, j]].mean(0)
     extent = max(np.ptp(z[:, i]), np.ptp(z[:, j]), SHORTEST)
-    found = []
+    functions = []
     for heading in HEADINGS:
         along = np.array([np.cos(heading), np.sin(heading)])
         for length in np.geomspace(2 * extent, SHORTEST, LENGTHS):
             for wave in (np.cos, np.sin):
                 turns = lambda z, k=2 * np.pi * along / length: (z[..., [i, j]] - middle) @ k  # noqa: E731
                 names = (known[i].name, known[j].name)
-                found.append(Function(names, lambda z, wave=wave, turns=turns: wave(turns(z))))
-    return found
+                functions.append(Function(names, lambda z, wave=wave, turns=turns: wave(turns(z))))
+    return functions
 
 
 def _without_mean(function: Function, z: _Values) -> Function:

@@ -1,4 +1,4 @@
-"""Where an effect acts, in terms of motion: the axes that its site moves, and what a law there may depend on."""
+"""Where an effect acts, in terms of motion: the axes that its site moves, and the quantities of a law there."""
 
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
@@ -17,24 +17,24 @@ class Place(NamedTuple):
     channels: tuple[str, ...]
 
     def axes(self, layout: Layout) -> list[str]:
-        """Names of the axes along which it can be pushed."""
+        """Names of the axes along which the site can be pushed."""
         return [layout.outputs(b, (a,))[0] for b, a in self.moving if layout.velocity[b, a] >= 0]
 
     def quantities(self, layout: Layout, known: Sequence[Quantity], bends: Collection[Bend]) -> list[int]:
-        """Indices of its own quantities of these kinds, among those that `library.quantities` knows."""
-        found = [i for i, q in enumerate(known) if "command" in bends and q.name in self.channels]
+        """Indices in `known` (of `library.quantities`) of the site's own quantities of these kinds."""
+        indices = [i for i, q in enumerate(known) if "command" in bends and q.name in self.channels]
         for b, a in self.moving:
-            found += [4 * b + a] if "speed" in bends else []
-            found += [4 * len(layout.bodies) + 3 * b + a] if "place" in bends and a != YAW else []
-        return found
+            indices += [4 * b + a] if "speed" in bends else []
+            indices += [4 * len(layout.bodies) + 3 * b + a] if "place" in bends and a != YAW else []
+        return indices
 
 
 def place_of(layout: Layout, site: Site) -> Place:
-    """What a site's channels drive; without any, what it is named after or shows in."""
+    """Motion that a site's channels drive; if they drive none, that of the state with its name, or of its outputs."""
     commands, states = [f.name for f in layout.schema.command], [f.name for f in layout.schema.state]
     tables = [(layout.driven, commands.index(name)) for name in site.channels]
     if not any((table == index).any() for table, index in tables):
         shown = [site.name] if site.name in states else site.outputs
         tables = [(t, states.index(name)) for name in shown for t in (layout.velocity, layout.position)]
-    found = [tuple(map(int, where)) for table, index in tables for where in np.argwhere(table == index)]
-    return Place(tuple(dict.fromkeys(found)), site.channels)  # type: ignore[arg-type]  # pairs
+    moving = [tuple(map(int, where)) for table, index in tables for where in np.argwhere(table == index)]
+    return Place(tuple(dict.fromkeys(moving)), site.channels)  # type: ignore[arg-type]  # pairs

@@ -13,9 +13,9 @@ from simgap.effects.regime import Regime, words
 from simgap.layout import Layout
 
 PUSH = 8
-"""Rows of the shortest push."""
+"""Rows of the shortest disturbance."""
 LASTING = 50
-"""Rows of the shortest window in which a law of motion may hold and not elsewhere."""
+"""Rows of the shortest window to which a law of motion may be restricted."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Always:
 
 @dataclass(frozen=True)
 class From:
-    """From a time [s] since its start on, in every session."""
+    """From a time [s] after the session's start, in every session."""
 
     from_s: float
 
 
 @dataclass(frozen=True)
 class Window:
-    """Between two times [s] since the start of one session, given by its index."""
+    """Between two times [s] after the start of one session, given by its index."""
 
     session: int
     from_s: float
@@ -41,7 +41,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Since:
-    """In all sessions but the first so many, which are those of a baseline."""
+    """In all sessions after the `first` ones, the baseline."""
 
     first: int
 
@@ -52,7 +52,7 @@ NOWHERE = Window(-1, 0.0, 0.0)
 
 
 def mask(layout: Layout, support: Support, chunks: Chunks) -> Bool[np.ndarray, "C T"]:
-    """The rows in which an effect with this support acts; a regime is that of the measured state."""
+    """Which rows are in a support; a regime is evaluated on the measured state."""
     time_s, session = np.asarray(chunks.time_s), np.asarray(chunks.session)[:, None]
     match support:
         case Always():
@@ -68,18 +68,18 @@ def mask(layout: Layout, support: Support, chunks: Chunks) -> Bool[np.ndarray, "
 
 
 def opened(layout: Layout, chunks: Chunks, supports: Sequence[Support]) -> Chunks:
-    """Chunks with a gate for each support; a single one, always open, where there are none."""
+    """Segments with one gate per support; without supports, with one gate that is always open."""
     gates = [mask(layout, support, chunks) for support in supports or [ALWAYS]]
     return chunks._replace(gate=jnp.asarray(np.stack(gates, axis=1), jnp.float32))
 
 
 def for_heldout(layout: Layout, unseen: Chunks, supports: Sequence[Support]) -> Chunks:
-    """Held-out segments with a gate for each support; a window lies in a fitted session, so its gate is closed."""
+    """Held-out segments with one gate per support; a window lies in a fitted session, so its gate is closed."""
     return opened(layout, unseen, [NOWHERE if isinstance(s, Window) else s for s in supports])
 
 
 def in_words(layout: Layout, support: Support) -> str:
-    """In short: `where reach > 0.9 m`, `from 3.2 s on`."""
+    """Short description: `where reach > 0.9 m`, `from 3.2 s on`."""
     match support:
         case Regime():
             return f"where {words(layout, support)}"
@@ -92,13 +92,13 @@ def in_words(layout: Layout, support: Support) -> str:
 
 
 def within(rows: Rows, window: Window, margin_s: float = 0.0) -> Bool[np.ndarray, " n"]:
-    """The rows of a window, and of its session those up to a margin [s] before and after it."""
+    """Which rows are in a window, extended within its session by a margin [s] on either side."""
     time_s = rows.time_s
     return (rows.session == window.session) & (time_s >= window.from_s - margin_s) & (time_s < window.to_s + margin_s)
 
 
 def elsewhere(rows: Rows, window: Window, score: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Scores of the rows outside a window, zero in it and in the `PUSH` rows at either side, where it still echoes."""
+    """Scores outside a window; zero in it and in `PUSH` rows on either side, where the disturbance still acts."""
     return np.where(within(rows, window, PUSH * float(np.median(np.diff(rows.time_s)))), 0.0, score)
 
 

@@ -1,4 +1,4 @@
-"""Every effect of a set against what could stand in its place: who keeps it, and how sure that is."""
+"""Compare every accepted effect with its alternatives, and compute their posterior probabilities."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -28,11 +28,11 @@ from simgap.diagnosis.likelihood.student_t import log_density
 
 
 class Member(NamedTuple):
-    """An effect of the set that explains the recordings.
+    """An accepted effect.
 
-    gain: of the set over the set without it [nats]. odds: probability of every effect id that could stand in its place;
-    rival: the best hypothesis of another id, fitted; without: the model that lacks it, fitted. misfit: further gain
-    [nats] if its law could bend (see `relaxation.misfits`).
+    gain: of all accepted effects over those without it [nats]. odds: probability of every effect id that could take its
+    place. rival: the best fitted hypothesis of another id. without: the fitted model that lacks the effect. misfit:
+    further gain [nats] if its law could bend (see `relaxation.misfits`).
     """
 
     hypothesis: Hypothesis
@@ -46,18 +46,18 @@ class Member(NamedTuple):
 def defend(
     found: Found, hypotheses: Sequence[Hypothesis], holds_out: HeldOutCheck, rng: np.random.Generator, report: Reporter
 ) -> tuple[Model, tuple[Member, ...], list[Round]]:
-    """Let every member defend its place, given the others: a better rival takes it, one that is not needed goes.
+    """Compare every effect with its alternatives, given the others. Replace it by a better one; drop it if not needed.
 
-    A rival is better only where held-out sessions agree, as in `search`.
+    A replacement must hold on held-out sessions, as in `search`.
     """
     model, base = found.model, found.base
     if len(found.chosen) == 1:
-        # The outputs are decorrelated anew since the model without it was fitted: what both leave is compared as one.
+        # The whitening has changed since `base` was fitted, so `base` is evaluated with the current one.
         rest = evaluate(model.problem, base.v, base.groups)
         return model, (member(model.problem, found.rounds[0].tried, rest),), []
     members, rounds = [], []
     for hypothesis, chosen in zip(found.chosen, found.rounds, strict=False):
-        report(f"{hypothesis.name} against its rivals, given the other effects")
+        report(f"comparing {hypothesis.name} with its alternatives, given the other effects")
         problem, fit, _ = model
         reduced = refitted_without(model, [hypothesis], settled(chosen.tried[0].gain))
         own = Trial.of(hypothesis, fit, reduced.fit)
@@ -74,17 +74,17 @@ def defend(
             rivals.remove(better)
             own = better
         if own.beyond < max(required, least(problem, base, reduced.fit, model.fit)):
-            report(f"{hypothesis.name} is not needed beside the others")
+            report(f"{hypothesis.name} dropped: it is not needed given the other effects")
             model = reduced
         else:
             members.append(member(problem, [own, *rivals], reduced.fit))
     return model, tuple(members), rounds
 
 
-def _rivals(hypothesis: Hypothesis, when_chosen: Screening, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """A member and the hypotheses that came near it when it was chosen; the others are no rivals now."""
+def _rivals(hypothesis: Hypothesis, screening: Screening, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The hypothesis, and those whose expected gain was at least `RIVAL` of its own when it was chosen."""
     gains: dict[str, float] = {}
-    for s in when_chosen.found:
+    for s in screening.found:
         gains[s.hypothesis.name] = max(s.gain, gains.get(s.hypothesis.name, 0.0))
     near = {name for name, gain in gains.items() if gain >= RIVAL * gains.get(hypothesis.name, 0.0)} - {hypothesis.name}
     return [c for c in hypotheses if c is hypothesis or c.name in near]
@@ -93,7 +93,7 @@ def _rivals(hypothesis: Hypothesis, when_chosen: Screening, hypotheses: Sequence
 def _better(
     reduced: Model, rivals: Sequence[Trial], own: Trial, holds_out: HeldOutCheck, required: float
 ) -> Trial | None:
-    """The best rival of another id that gains more than `own`, and that held-out sessions agree to."""
+    """The best rival of another id that gains over 1 nat more than `own` and holds on held-out sessions."""
     ahead = (t for t in rivals if t.gain > own.gain + 1 and t.hypothesis.effect.id != own.hypothesis.effect.id)
     return next((t for t in ahead if holds_out(reduced.problem, t, required)), None)
 
@@ -101,28 +101,28 @@ def _better(
 def drop_dominated(
     model: Model, members: tuple[Member, ...], gain: float, report: Reporter
 ) -> tuple[Model, tuple[Member, ...]]:
-    """Without the members that gain less than their share of what odd rows do: those rows would make them up."""
-    weak = [m for m in members if m.gain < LEAST_SHARE * gain]
-    for m in weak:
-        report(f"{m.hypothesis.name} is too weak a sign beside rows that are odd")
+    """Drop members that gain less than `LEAST_SHARE` of `gain`, that of outlier rows: these may produce such gains."""
+    dropped = [m for m in members if m.gain < LEAST_SHARE * gain]
+    for m in dropped:
+        report(f"{m.hypothesis.name} dropped: its gain is small next to that of outlier rows")
         model = refitted_without(model, [m.hypothesis])
-    return model, tuple(m for m in members if m not in weak)
+    return model, tuple(m for m in members if m not in dropped)
 
 
 def member(problem: Problem, tried: Sequence[Trial], rest: Fit) -> Member:
-    """The first of the hypotheses tried for one place, with the others as its rivals."""
+    """Member of the first hypothesis tried, the best; its rival is the best of another id."""
     own = tried[0]
     rival = next((t for t in tried if t.hypothesis.effect.id != own.hypothesis.effect.id), None)
     return Member(own.hypothesis, own.gain, odds(problem, tried), rival, rest)
 
 
 def odds(problem: Problem, tried: Sequence[Trial]) -> dict[str, float]:
-    """Probability of each effect id, by its best hypothesis, the first one tried being the best of all."""
+    """Posterior probability of each effect id, by its best hypothesis. `tried` begins with the best of all."""
     starts = blocks(np.asarray(problem.chunks.counts))
     best: dict[str, Trial] = {}
     for t in tried:
-        value = best.get(t.hypothesis.effect.id)
-        if value is None or t.gain > value.gain:
+        current = best.get(t.hypothesis.effect.id)
+        if current is None or t.gain > current.gain:
             best[t.hypothesis.effect.id] = t
     rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
     lead, constants = tried[0].hypothesis.effect.id, {k: len(t.hypothesis.groups) for k, t in best.items()}
@@ -136,20 +136,18 @@ def compared(
     lead: str,
     gain: float,
 ) -> dict[str, float]:
-    """Probability of each name: likelihood of its rows, less log n / 2 a constant, against the lead's, which gains so
-    many nats.
+    """Posterior probability of each name: log-likelihood of its rows minus log n / 2 per constant, relative to `lead`.
 
-    What a rival is behind by counts only so far as it exceeds `LEAST_SHARE` of that gain: less may be no more than the
-    difference between laws and robot. And the ratio of two likelihoods is itself uncertain: where its spread over
-    blocks of rows is wider than that of a correct model's (variance twice the mean), the ratio is worn down accordingly
-    [Vuong 1989].
+    gain: of the lead [nats]. A deficit counts only beyond `LEAST_SHARE` of that gain, because a smaller one may only
+    reflect misfit of the laws. The ratio of two likelihoods is itself uncertain: where its variance over blocks of rows
+    exceeds that of a correct model (twice the mean), the ratio is scaled down accordingly [Vuong 1989].
     """
     score = {k: float(d.sum()) - 0.5 * constants[k] * np.log(len(d)) for k, d in density.items()}
     logits = {}
     for k in density:
-        behind = max(score[lead] - score[k] - LEAST_SHARE * max(gain, 0.0), 0.0) if k != lead else 0.0
+        deficit = max(score[lead] - score[k] - LEAST_SHARE * max(gain, 0.0), 0.0) if k != lead else 0.0
         difference = np.add.reduceat(density[lead] - density[k], starts)
-        spread = len(difference) * float(np.var(difference))
-        logits[k] = -behind * min(1.0, 2 * behind / spread) if spread > 0 else -behind
+        variance = len(difference) * float(np.var(difference))
+        logits[k] = -deficit * min(1.0, 2 * deficit / variance) if variance > 0 else -deficit
     total = np.logaddexp.reduce(list(logits.values()))
     return {k: float(np.exp(v - total)) for k, v in sorted(logits.items(), key=lambda kv: -kv[1])}

@@ -1,4 +1,4 @@
-"""Whether something pushed the robot from outside, during a stretch of one session."""
+"""Detection of a push from outside: a disturbance during a window of one session."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,13 +20,13 @@ from simgap.diagnosis.likelihood.problem import evaluate, trials
 from simgap.diagnosis.likelihood.segments import Rows, rows_of
 
 CLEARLY = 1.1
-"""Times the gain of a push that something else must gain which acts as long."""
+"""Factor on the gain of a push: another law in the same window must gain more than that, plus `REQUIRED`."""
 EXCEPTION = 3.0
-"""Times the gain of the best other stretch that a push must gain."""
+"""Factor on the gain of the best other window: a push must gain at least that."""
 
 
 class _Push(NamedTuple):
-    """An event and its best stretch: what it may gain there [nats], and with which constants."""
+    """A push hypothesis with its best window, the gain it may have there [nats], and the constants for it."""
 
     event: Hypothesis
     constants: tuple[float, ...]
@@ -44,55 +44,55 @@ def pushed(
     rng: np.random.Generator,
     report: Reporter,
 ) -> tuple[Model, tuple[Member, ...]]:
-    """A push during a stretch of one session, if one is more than the best of all stretches by chance.
+    """Add a push during a window of one session, if it gains more than the best of all windows does by chance.
 
-    Or what else explains that stretch, where it does so clearly better.
+    If another law explains that window clearly better, add that one instead.
     """
     problem, fit, _ = model
     rows = rows_of(problem.chunks)
-    tried = [_push(model, rows, event, start) for event in events for start in event.starts]
-    if not tried or any(m.hypothesis.support != ALWAYS for m in members):
+    candidates = [_push(model, rows, event, start) for event in events for start in event.starts]
+    if not candidates or any(m.hypothesis.support != ALWAYS for m in members):
         return model, members
-    best = max(tried, key=lambda p: p.gain)
-    chance = stretch_by_chance(rows, best.score, best.power, LEVEL / len(tried), rng)
-    if best.gain < chance + LEAST_SHARE * sum(m.gain for m in members):
+    best = max(candidates, key=lambda p: p.gain)
+    threshold = stretch_by_chance(rows, best.score, best.power, LEVEL / len(candidates), rng)
+    if best.gain < threshold + LEAST_SHARE * sum(m.gain for m in members):
         return model, members
-    # A push is an exception: what recurs is something else.
-    again = max(stretch(rows, elsewhere(rows, best.window, p.score), p.power, PUSH)[1] for p in tried)
-    if best.gain < EXCEPTION * again:
+    # A push is an exception: a cause that recurs in other windows is no push.
+    next_gain = max(stretch(rows, elsewhere(rows, best.window, p.score), p.power, PUSH)[1] for p in candidates)
+    if best.gain < EXCEPTION * next_gain:
         return model, members
     window = best.window
     drifts, pushes = within_session(throughout, events, to_its_end(rows, window))
-    alike = (c for c in (*pushes, *drifts) if c.effect.law is best.event.effect.law and c.sites == best.event.sites)
-    named = next(alike)
-    there, hypothesis = with_support(model, [], window), behind(named, window, 1)
-    begun = evaluate(
-        there.problem, vary(there.fit.v, hypothesis, best.constants), (*fit.groups, *hypothesis.groups), fit.noise
+    same_law = (c for c in (*pushes, *drifts) if c.effect.law is best.event.effect.law and c.sites == best.event.sites)
+    named = next(same_law)
+    gated, hypothesis = with_support(model, [], window), behind(named, window, 1)
+    initial = evaluate(
+        gated.problem, vary(gated.fit.v, hypothesis, best.constants), (*fit.groups, *hypothesis.groups), fit.noise
     )
-    after = Model(there.problem, *optimise(there.problem, begun))
+    after = Model(gated.problem, *optimise(gated.problem, initial))
     push = Trial.of(hypothesis, after.fit, fit)
     report(f"{named.name} from {window.from_s:.1f} to {window.to_s:.1f} s of one session ({push.gain:+.1f} nats)")
-    others = [behind(c, window, 1) for c in drifts if c is not named]
-    found = [push, *one_more(there, others, rng, report).tried]
-    if len(found) > 1 and found[1].gain > CLEARLY * push.gain + REQUIRED:
-        report(f"{found[1].hypothesis.name} explains that stretch better ({found[1].gain - push.gain:+.1f} nats)")
-        found[:2] = found[1], push
-        after = Model(there.problem, *optimise(there.problem, found[0].fit))
-    return after, (*members, member(there.problem, found, fit))
+    alternatives = [behind(c, window, 1) for c in drifts if c is not named]
+    ranked = [push, *one_more(gated, alternatives, rng, report).tried]
+    if len(ranked) > 1 and ranked[1].gain > CLEARLY * push.gain + REQUIRED:
+        report(f"{ranked[1].hypothesis.name} explains that window better ({ranked[1].gain - push.gain:+.1f} nats)")
+        ranked[:2] = ranked[1], push
+        after = Model(gated.problem, *optimise(gated.problem, ranked[0].fit))
+    return after, (*members, member(gated.problem, ranked, fit))
 
 
 def _push(model: Model, rows: Rows, event: Hypothesis, start: tuple[float, ...]) -> _Push:
-    """The stretch that an event's start explains best."""
+    """The window that a push hypothesis explains best from a start."""
     problem, fit, _ = model
     score, power = scores(fit, fit.e, trials(problem, [vary(fit.v, event, start)])[0])
     window, gain = stretch(rows, score, power, PUSH)
     while gain > 0 and at_start(rows, window):
-        # What a robot remembers of the time before its session looks like a push, and is not known.
+        # Memory of the time before a session looks like a push and is not recorded: skip windows at its start.
         score = elsewhere(rows, window, score)
         window, gain = stretch(rows, score, power, PUSH)
-    acts = within(rows, window)
-    amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
-    constants = [c if of.shapes else amplitude * c for of, c in zip(event.effect.constants, start, strict=True)]
+    inside = within(rows, window)
+    amplitude = score[inside].sum() / max(power[inside].sum(), 1e-9)
+    constants = [c if k.shapes else amplitude * c for k, c in zip(event.effect.constants, start, strict=True)]
     low, _ = problem.augmented.bounds
-    possible = all(c >= low[g.entries[0]] for c, g in zip(constants, event.groups, strict=True))
-    return _Push(event, tuple(map(float, constants)), window, gain if possible else 0.0, score, power)
+    within_bounds = all(c >= low[g.entries[0]] for c, g in zip(constants, event.groups, strict=True))
+    return _Push(event, tuple(map(float, constants)), window, gain if within_bounds else 0.0, score, power)

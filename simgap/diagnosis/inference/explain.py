@@ -1,4 +1,4 @@
-"""The numbers behind a diagnosis: which effects, acting when, and what scatter, explain the recordings best."""
+"""The estimation behind a diagnosis: which effects, supports and noise effects explain the recordings best."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -30,7 +30,7 @@ from simgap.types import Recording, Sessions, StepModel
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
-    """Sessions to fit and sessions held out: every fourth, the last of fewer; the last quarter of a single one."""
+    """Sessions to fit, and held-out sessions: every fourth, or the last of fewer; of a single one its last quarter."""
     if len(recordings) == 1:
         (r,) = recordings
         edge = 3 * len(r.time_s) // 4
@@ -41,7 +41,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Record
 
 
 class _Asked(NamedTuple):
-    """What does not change during a search; baseline: number of its sessions, which come first."""
+    """The constant inputs of a search. baseline: number of baseline sessions, which come first."""
 
     chunks: Chunks
     unseen: Chunks
@@ -54,7 +54,7 @@ class _Asked(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The explanation so far; unseen: held-out rows with its supports."""
+    """The explanation so far. unseen: held-out rows with the gates of its supports."""
 
     problem: Problem
     unseen: Chunks
@@ -65,7 +65,7 @@ class _Found(NamedTuple):
     supports: tuple[Support, ...] = ()
 
     def bare(self, baseline: int) -> Model:
-        """The model without its effects."""
+        """The model refitted without its effects."""
         if baseline:
             return refitted_without(self.model, [m.hypothesis for m in self.members])
         return refitted_without(self.model._replace(fit=self.searched.base), [])
@@ -79,8 +79,10 @@ def explain(
     ranges_hold: bool = True,
     before: Explanation | None = None,
 ) -> Explanation:
-    """Search for the effects that the simulator lacks; arguments and errors as in `diagnose`, `ranges_hold` as in
-    `Problem`. An engine is tabulated where an explanation from `before` leads along, or as it is."""
+    """Search for the effects that a simulator lacks. Arguments and errors as in `diagnose`, `ranges_hold` in `Problem`.
+
+    An engine is tabulated at the fit of the explanation `before`, or at its nominal parameters without one.
+    """
     augmented, baseline = Augmented(simulator), sessions.baseline
     scales, time_step = measure(augmented, sessions.fitted), simulator.time_step
     chunks = cut(sessions.fitted, time_step)
@@ -97,41 +99,41 @@ def explain(
     if baseline:
         asked = asked._replace(nominal=_with_baseline(asked, problem, baseline))
     report(f"fitting the {len(simulator.parameters)} parameters to {len(sessions.fitted)} sessions")
-    # A change is measured beside its twin: what both have and the baseline alone was too short to show is no change.
-    found = _look(
+    # Each change is fitted together with its twin. Otherwise an effect that acts all along, but that the baseline alone
+    # was too short to show, would pass for a change.
+    best = _look(
         asked, problem, unseen, [changed(h, len(baseline)) for h in throughout] if baseline else throughout, ()
     )
-    changes = bool(baseline and found.members)  # beside which nothing else is looked for
-    noise_effects = [] if changes else noise_effects(found.model.problem, found.model.fit, found.unseen)
-    looked_at, odd = found.model.fit, sum(s.gain for s in noise_effects if s.rare)
+    changes = bool(baseline and best.members)  # then nothing else is searched for
+    noise_terms = [] if changes else noise_effects(best.model.problem, best.model.fit, best.unseen)
+    fit_before, outlier_gain = best.model.fit, sum(s.gain for s in noise_terms if s.rare)
     if not baseline:
-        # Odd rows would make up as much as a weak member gains.
-        model, members = drop_dominated(found.model, found.members, odd, report)
-        found = _restricted(asked, found._replace(model=model, members=members), odd)
-    found, base = (found, None) if odd else _disturbed(asked, found, changes)
-    report("looking at the scatter that is left")
-    problem, fit, _ = found.model
+        # Outlier rows can produce the gain of a weak member.
+        model, members = drop_dominated(best.model, best.members, outlier_gain, report)
+        best = _restricted(asked, best._replace(model=model, members=members), outlier_gain)
+    best, base = (best, None) if outlier_gain else _disturbed(asked, best, changes)
+    report("searching for effects on the noise")
+    problem, fit, _ = best.model
     if baseline:
-        noise_effects = noise_effects_since(found.model, sessions, found.unseen)
-    elif fit is not looked_at:
-        noise_effects = noise_effects(problem, fit, found.unseen)
-    # Of less, what the laws of the others are not quite may be the cause; and odd rows are made up by what explains
-    # them better, though it may not hold in all sessions.
-    required, rejected = LEAST_SHARE * sum(m.gain for m in found.members), found.searched.rounds[-1].rejected
-    noise_effects = [s for s in noise_effects if s.gain > (max(required, rejected) if s.rare else required)]
-    base = base or found.bare(len(baseline))
-    law = no_law(found.model, found.unseen) if baseline else nonparametric_law(found.model, found.unseen, rng, report)
-    bent = misfits(found.model, [m.hypothesis for m in found.members])
-    members = tuple(m._replace(misfit=gain) for m, gain in zip(found.members, bent, strict=True))
+        noise_terms = noise_effects_since(best.model, sessions, best.unseen)
+    elif fit is not fit_before:
+        noise_terms = noise_effects(problem, fit, best.unseen)
+    # Smaller gains may only reflect misfit of the accepted laws or, in rare rows, a law that not all sessions confirm.
+    misfit_gain, rejected = LEAST_SHARE * sum(m.gain for m in best.members), best.searched.rounds[-1].rejected
+    noise_terms = [s for s in noise_terms if s.gain > (max(misfit_gain, rejected) if s.rare else misfit_gain)]
+    base = base or best.bare(len(baseline))
+    law = no_law(best.model, best.unseen) if baseline else nonparametric_law(best.model, best.unseen, rng, report)
+    misfit_gains = misfits(best.model, [m.hypothesis for m in best.members])
+    members = tuple(m._replace(misfit=gain) for m, gain in zip(best.members, misfit_gains, strict=True))
     return Explanation(
-        problem, asked.nominal, base.fit, fit, spread(*found.model), members, noise_effects,
-        whiteness_of(problem, fit, len(baseline)), law, found.unseen, found.supports,
-        [*found.searched.rounds, *found.rounds], len(baseline),
+        problem, asked.nominal, base.fit, fit, spread(*best.model), members, noise_terms,
+        whiteness_of(problem, fit, len(baseline)), law, best.unseen, best.supports,
+        [*best.searched.rounds, *best.rounds], len(baseline),
     )  # fmt: skip
 
 
 def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
-    """With tables of an engine, where an earlier explanation leads or as it is; as it was without an engine."""
+    """The problem with an engine tabulated at an earlier fit, or at the start; unchanged without an engine."""
     if not is_engine(problem.augmented.simulator):
         return problem
     v, gate = (start(problem), problem.chunks.gate) if before is None else (before.fit.v, before.problem.chunks.gate)
@@ -141,31 +143,31 @@ def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
 
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:
     """The simulator with the effects that the baseline shows by itself, evaluated on all sessions."""
-    asked.report(f"what the baseline of {len(baseline)} sessions shows by itself")
+    asked.report(f"searching the baseline of {len(baseline)} sessions for effects")
     chunks = cut(baseline, problem.scales.time_step, least=len(asked.chunks.row))
     before, v = problem._replace(chunks=chunks), asked.nominal.v
-    # No session of the baseline is held out.
+    # The baseline has no held-out sessions.
     always = lambda *_: True  # noqa: E731
     known = search(before, evaluate(before, v, ()), asked.throughout, always, asked.rng, asked.report).model.fit
-    # Few sessions may say so little of parameters and gain that these explode on the others.
-    left = known.v, v._replace(theta=known.v.theta)
-    return max((evaluate(problem, v, known.groups) for v in left), key=lambda fit: fit.loglik)
+    # A short baseline may determine parameters and filter gain so badly that the model diverges on other sessions.
+    starts = known.v, v._replace(theta=known.v.theta)
+    return max((evaluate(problem, v, known.groups) for v in starts), key=lambda fit: fit.loglik)
 
 
 def _look(
     asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Hypothesis], supports: tuple[Support, ...]
 ) -> _Found:
-    """Search for effects, each of which then defends its place against its alternatives."""
+    """Search for effects, then compare each with its alternatives."""
 
     def confirmed(problem: Problem, trial: Trial, required: float) -> bool:
         heldout = gain(problem, tabulated(problem, trial.fit.v, unseen), trial.without, trial.fit)
         return agrees(by_row(trial.without, trial.fit), heldout, problem.chunks, required)
 
     def holds_out(problem: Problem, trial: Trial, required: float) -> bool:
-        # Held-out sessions say nothing of an effect whose support they do not enter.
+        # Held-out sessions cannot test an effect whose support they do not enter.
         gate = trial.hypothesis.groups[0].support
-        elsewhere = gate and not np.asarray(unseen.gate)[:, gate - 1].any()
-        holds = elsewhere or confirmed(problem, trial, required)
+        untestable = gate and not np.asarray(unseen.gate)[:, gate - 1].any()
+        holds = untestable or confirmed(problem, trial, required)
         return holds and (not asked.baseline or differs(problem, trial, asked.baseline))
 
     nominal = asked.nominal
@@ -177,55 +179,53 @@ def _look(
     return _Found(problem, unseen, searched, model, members, rounds, supports)
 
 
-def _restricted(asked: _Asked, found: _Found, odd: float) -> _Found:
-    """With the times, stretches and regimes in which effects act that do not act throughout.
+def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
+    """Search for supports: onsets, windows and regimes of effects that do not act throughout.
 
-    What acts for a while or in a regime only was looked for as if it acted throughout: every time the search starts
-    over, with all hypotheses throughout and in each of the supports.
+    Until a support is known, its effect is searched for as if it acted throughout. So the search starts over after each
+    new support, with all hypotheses both throughout and in each support.
     """
-    layout = found.problem.augmented.layout
-    while len(found.supports) < MOST_SUPPORTS:
-        support = restriction(found.model, found.members, found.supports, found.unseen, asked.report)
-        if not (found.members or odd):
-            support = hidden_restriction(found.model, found.searched.rounds[0].screening, asked.rng, asked.report)
+    layout = best.problem.augmented.layout
+    while len(best.supports) < MOST_SUPPORTS:
+        support = restriction(best.model, best.members, best.supports, best.unseen, asked.report)
+        if not (best.members or outlier_gain):
+            support = hidden_restriction(best.model, best.searched.rounds[0].screening, asked.rng, asked.report)
         if support is None:
-            return found
-        supports = (*found.supports, support)
+            return best
+        supports = (*best.supports, support)
         hypotheses = [*asked.throughout, *(h for i, s in enumerate(supports, 1) for h in _within(asked, s, i))]
-        problem = found.problem._replace(chunks=opened(layout, found.problem.chunks, supports))
-        further = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
-        if not further.members or (
-            found.supports and not any(m.hypothesis.support == support for m in further.members)
-        ):
-            return found
-        found = further
-        if all(m.hypothesis.support == ALWAYS for m in found.members):
-            return found._replace(supports=(), unseen=opened(layout, found.unseen, ()))
-    return found
+        problem = best.problem._replace(chunks=opened(layout, best.problem.chunks, supports))
+        trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
+        if not trial.members or (best.supports and not any(m.hypothesis.support == support for m in trial.members)):
+            return best
+        best = trial
+        if all(m.hypothesis.support == ALWAYS for m in best.members):
+            return best._replace(supports=(), unseen=opened(layout, best.unseen, ()))
+    return best
 
 
 def _within(asked: _Asked, support: Support, gate: int) -> list[Hypothesis]:
-    """Hypotheses that an effect acts in a support only; in one session it may have been a push as well."""
-    some = asked.throughout
+    """Hypotheses of effects that act in a support only; in a window of one session pushes are among them."""
+    hypotheses = asked.throughout
     if isinstance(support, Window):
-        drifts, pushes = within_session(some, asked.events, to_its_end(rows_of(asked.chunks), support))
-        some = [*drifts, *pushes]
-    return [behind(h, support, gate) for h in some]
+        drifts, pushes = within_session(hypotheses, asked.events, to_its_end(rows_of(asked.chunks), support))
+        hypotheses = [*drifts, *pushes]
+    return [behind(h, support, gate) for h in hypotheses]
 
 
-def _disturbed(asked: _Asked, found: _Found, changes: bool) -> tuple[_Found, Model | None]:
-    """With a push from outside, if there is one; and the model without effects, if that was needed to look for it.
+def _disturbed(asked: _Asked, best: _Found, changes: bool) -> tuple[_Found, Model | None]:
+    """Add a push from outside, if there is one. Also returns the model without effects, if the search needed it.
 
-    Changes since a baseline may be made up of one push.
+    One push may explain all changes since a baseline, so it then competes with all of them together.
     """
-    base = found.bare(asked.baseline) if changes else None
+    base = best.bare(asked.baseline) if changes else None
     model, members = pushed(
-        base or found.model, () if changes else found.members, asked.events, asked.throughout, asked.rng, asked.report
+        base or best.model, () if changes else best.members, asked.events, asked.throughout, asked.rng, asked.report
     )
-    pays = not changes or model.fit.loglik > found.model.fit.loglik
+    improves = not changes or model.fit.loglik > best.model.fit.loglik
     supports = tuple(s for s in (m.hypothesis.support for m in members) if s != ALWAYS)
-    before = any(isinstance(s, Window) and s.session < asked.baseline for s in supports)
-    if not pays or before or model is found.model:
-        return found, base
-    unseen = for_heldout(found.problem.augmented.layout, found.unseen, supports)
-    return found._replace(model=model, members=members, supports=supports, unseen=unseen), None
+    in_baseline = any(isinstance(s, Window) and s.session < asked.baseline for s in supports)
+    if not improves or in_baseline or model is best.model:
+        return best, base
+    unseen = for_heldout(best.problem.augmented.layout, best.unseen, supports)
+    return best._replace(model=model, members=members, supports=supports, unseen=unseen), None

@@ -1,4 +1,4 @@
-"""The best explanation of the recordings: fits, effects, noise, what is left, and when each acts."""
+"""The best explanation of the recordings: fits, effects with their supports, noise effects, whiteness."""
 
 from typing import NamedTuple
 
@@ -20,11 +20,12 @@ from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
 class Explanation(NamedTuple):
     """The best explanation of the recordings.
 
-    nominal, base, fit: the simulator as it is (as the baseline left it), refitted, and with the effects, fitted alike.
-    sd: of its constants. members: the effects; scattered: those on the scatter; left: what they leave over; law: one
-    beside them that has no name. unseen: the held-out rows, with the effects' supports. supports: when and where
-    effects act that do not act throughout. rounds: what was tried. baseline: number of its sessions; with any, what is
-    left over is what they do not leave as well, and no law without a name is looked for.
+    nominal: the simulator as it is; with a baseline, with the effects that the baseline shows. base: refitted without
+    effects. fit: refitted with the effects; sd: standard deviations of its constants. members: the effects.
+    noise_effects: effects on the noise. whiteness: how far the residuals can be predicted. law: a nonparametric law
+    apart from the effects. unseen: held-out rows with the gates of the supports. supports: of effects that do not act
+    throughout. rounds: the hypotheses tried. baseline: number of its sessions. With any, `whiteness` is what exceeds
+    theirs, and no nonparametric law is searched for.
     """
 
     problem: Problem
@@ -42,10 +43,10 @@ class Explanation(NamedTuple):
     baseline: int
 
     def names(self, member: Member) -> bool:
-        """Whether an effect explains its outputs, rather than being the nearest word for something else.
+        """Whether an effect explains its outputs, rather than being only the closest match.
 
-        A constant that does not differ from zero, though its effect gains, stands for what the parameters do; what many
-        names fit alike is likely something that has none; and so is what a law explains only where it bends.
+        It does not if no constant differs from zero: then it stands for what the parameters do. Nor if many ids fit
+        equally well or if its law must bend: then the cause is probably outside the vocabulary.
         """
         if member.odds[member.hypothesis.effect.id] < LIKELY:
             return False
@@ -57,27 +58,29 @@ class Explanation(NamedTuple):
 
     @property
     def anything(self) -> bool:
-        """Whether an effect was found, or something without a name."""
+        """Whether an effect, predictable residuals or a nonparametric law was found."""
         return bool(self.members or self.whiteness.nats.any() or self.law.terms)
 
     @property
     def ids(self) -> set[str]:
-        """Of the effects found."""
+        """Ids of the effects found."""
         return {m.hypothesis.effect.id for m in self.members}
 
     @property
     def regimes(self) -> tuple[Regime, ...]:
-        """Of every support; everywhere, where there is none, or it is a matter of time."""
+        """The regime of every support: everywhere if the support is one in time, or if there are no supports."""
         return tuple(s if isinstance(s, Regime) else EVERYWHERE for s in self.supports) or (EVERYWHERE,)
 
     @property
     def known_supports(self) -> tuple[Support, ...]:
-        """Those that are known before a forecast; in which regime it is, a forecast says itself."""
+        """Supports that are known before a forecast. A regime counts as always: the forecast itself decides it."""
         return tuple(ALWAYS if isinstance(s, Regime) else s for s in self.supports)
 
     def acting(self, fit: Fit) -> Acting:
-        """The constants of a fit, as part of a simulator: what changed since a baseline acts in it as well, and what
-        acts in a regime acts there; what acts for a while only is no part of it."""
+        """The constants of a fit, as part of a simulator.
+
+        Changes since a baseline always act, effects in a regime act there, effects limited in time are left out.
+        """
         theta, delta = np.asarray(fit.v.theta), np.asarray(fit.v.delta)
         if self.baseline and not self.supports:
             return everywhere(theta + delta[0])
@@ -85,5 +88,5 @@ class Explanation(NamedTuple):
         return Acting(theta, delta[lasting], tuple(self.regimes[s] for s in lasting))
 
     def known(self) -> Fit:
-        """The fit without the effects that are nearest words only; nothing is fitted anew."""
+        """The fit without the effects that are only closest matches. Nothing is refitted."""
         return without(self.fit, [group for m in self.members if not self.names(m) for group in m.hypothesis.groups])

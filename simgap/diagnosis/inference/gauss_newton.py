@@ -14,25 +14,25 @@ from simgap.diagnosis.likelihood.student_t import fit_noise, log_density, weight
 from simgap.types import DivergenceError
 
 NARROW = 1e-9
-"""Added to bounds, which must not touch [root nats]."""
+"""Margin added to bounds, whose ends must differ [root nats]."""
 ROUNDING = 1e-6
-"""Least curvature of a Hessian with a diagonal of ones; what lies below, or below zero, is the products' rounding."""
+"""Minimum eigenvalue of a Hessian with a diagonal of ones. Smaller or negative ones are rounding errors."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
-"""Of a Gauss-Newton step, tried one after the other, until one"""
+"""Step lengths, as shares of the Gauss-Newton step, tried in this order until one reaches `ENOUGH`."""
 ENOUGH = 0.5
-"""gains this share of what it should, were the model linear."""
+"""A step length is accepted if it gains this share of what a linear model would."""
 CONVERGED = 0.5
-"""Gain [nats] below which iterations end."""
+"""Gain [nats] of an iteration below which iterations end."""
 WORTHWHILE = 0.1
-"""Share of what the first step with some derivatives gained, below which further ones are left to derivatives anew."""
+"""Share of the largest gain of a step with held derivatives. A step that gains less is the last with them."""
 HELD = 4
-"""Steps taken with the same derivatives by phi and K."""
+"""Steps with the same derivatives by phi and K, at most."""
 RENEWALS = 6
-"""How often these are renewed at most."""
+"""Renewals of these derivatives, at most."""
 
 
 class Held(NamedTuple):
-    """Derivatives that are kept for several steps; gram: of each output's, at the weights."""
+    """Derivatives held for several steps. gram: Gram matrix of each output's derivatives, at the weights."""
 
     columns: Float[np.ndarray, "M n s"]
     weights: Float[np.ndarray, "n s"]
@@ -40,10 +40,10 @@ class Held(NamedTuple):
 
 
 def hold(fit: Fit, columns: Float[np.ndarray, "M n s"]) -> Held:
-    """Derivatives at a fit."""
+    """Hold derivatives, with their weights at a fit."""
     w = weights(fit.e, fit.noise).astype(np.float32)
     outputs = np.moveaxis(columns, 2, 0)
-    return Held(columns, w, np.stack([(c * each) @ c.T for c, each in zip(outputs, w.T, strict=True)]))
+    return Held(columns, w, np.stack([(c * weight) @ c.T for c, weight in zip(outputs, w.T, strict=True)]))
 
 
 def gauss_newton(
@@ -53,9 +53,9 @@ def gauss_newton(
     renewed: Float[np.ndarray, "k n s"],
     precision: Float[np.ndarray, " M+k"],
 ) -> Fit:
-    """One step from `fit` along all its free directions; the best of the lengths tried, or `fit` itself.
+    """One step from `fit` along all its free directions: the best length tried, or `fit` itself if none gains.
 
-    The gradient is that at `fit`; of the Hessian, whose products are dear, only the level of its weights is.
+    The gradient is the one at `fit`. The Hessian's products are expensive, so only the level of its weights is updated.
     """
     if not len(fit.e):
         return fit
@@ -70,15 +70,15 @@ def gauss_newton(
     gradient = np.concatenate([by_held[k], by_renewed[k]]).astype(np.float64) + precision * offset
     if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
         return fit
-    # What the recordings do not depend on, or not by a finite derivative, stays where it is.
+    # A direction without information, or without a finite derivative, stays where it is.
     down, up = (np.where(np.diag(curvature) > 0, room, 0.0) for room in room_to_move(problem, fit.v, fit.groups))
     delta = lowest(hessian, gradient, down, up)
 
     def value(e: np.ndarray, v: Variables) -> float:
         if not np.isfinite(e).all():
             return -np.inf
-        away = prior_offset(problem, v, fit.groups)
-        return float(log_density(e, fit.noise).sum()) - 0.5 * float(precision @ away**2)
+        from_prior = prior_offset(problem, v, fit.groups)
+        return float(log_density(e, fit.noise).sum()) - 0.5 * float(precision @ from_prior**2)
 
     slope, bend = -float(delta @ gradient), float(delta @ hessian @ delta)
     now, best = value(fit.e, fit.v), None
@@ -87,7 +87,7 @@ def gauss_newton(
         e = trials(problem, [v])[0]
         gain = value(e, v) - now
         if best is not None and gain < best[0]:
-            break  # beyond the best length
+            break  # shorter ones are worse
         if gain > 0:
             best = gain, v, e
         if gain > ENOUGH * (slope * share - bend * share**2 / 2):
@@ -105,9 +105,9 @@ def lowest(
     down: Float[np.ndarray, " m"],
     up: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, " m"]:
-    """Where g x + x H x / 2 is lowest within bounds.
+    """The x within bounds that minimises g x + x H x / 2.
 
-    Were an unbounded step cut to them afterwards, what is at no bound would have gone along with what is, for nothing.
+    Clipping an unbounded step would not do: its other entries would still compensate for what is clipped.
     """
     scale = np.sqrt(np.diag(hessian))
     curvature, axes = np.linalg.eigh(hessian / np.outer(scale, scale))
@@ -118,7 +118,7 @@ def lowest(
 
 
 def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:
-    """Gauss-Newton with some derivatives held, those by phi, K and the first of the constants, the others renewed."""
+    """Gauss-Newton with the derivatives by phi, K and the first constants held, and the others renewed every step."""
     _, precision = directions(problem, fit.groups)
     renewed = fit.groups[len(held.columns) + len(fit.groups) - len(precision) :]
     most = 0.0
@@ -132,14 +132,14 @@ def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:
 
 
 def optimise(problem: Problem, fit: Fit, enough: float = CONVERGED) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
-    """Gauss-Newton until its steps gain less than `enough` [nats]; returns the derivatives by phi and K as well.
+    """Gauss-Newton until it gains less than `enough` [nats]. Also returns the derivatives by phi and K.
 
-    These cost as much as ten steps with them: they are renewed only when they have led as far as they can. Raises
-    DivergenceError when the start leaves the finite numbers.
+    These cost as much as ten steps, so they are renewed only when steps with the held ones gain no more. Raises
+    DivergenceError if the simulator diverges at the start.
     """
     if not np.isfinite(fit.loglik):
         raise DivergenceError(
-            "the simulator leaves the finite numbers on these recordings at its nominal parameters. "
+            "the simulator diverges (NaN or infinity) on these recordings at its nominal parameters. "
             "Check its units and its time step."
         )
     nuisance = nuisance_columns(problem, fit.v)

@@ -1,4 +1,4 @@
-"""What sessions that take no part in a fit say of it."""
+"""Held-out check: do sessions that take no part in a fit confirm it?"""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,10 +9,10 @@ from simgap.diagnosis.likelihood.student_t import log_density
 
 
 def agrees(gained: Float[np.ndarray, " n"], heldout: float, chunks: Chunks, required: float) -> bool:
-    """Whether held-out sessions that gain so many nats agree that something is there, with what fitted rows gain by it.
+    """Whether held-out sessions confirm an effect. gained: by each fitted row [nats]; heldout: by all of them [nats].
 
-    They do where they gain. Where they lose, which they may by parameters that their motion depends on and the fitted
-    sessions' hardly does, all sessions together must gain what is required without the one that speaks most for it.
+    They confirm it if they gain. They may also lose because of parameters that matter for their motion, but hardly for
+    that of the fitted sessions. Then all sessions but the fitted one that gains most must gain more than `required`.
     """
     if heldout > 0:
         return True
@@ -21,12 +21,12 @@ def agrees(gained: Float[np.ndarray, " n"], heldout: float, chunks: Chunks, requ
 
 
 def by_row(without: Fit, with_it: Fit) -> Float[np.ndarray, " n"]:
-    """Log-likelihood [nats] that every row gains."""
+    """Gain in log-likelihood of every row [nats]."""
     return (log_density(with_it.e, with_it.noise) - log_density(without.e, without.noise)).sum(1)
 
 
 def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
-    """Log-likelihood [nats] that held-out sessions gain, all constants as fitted."""
-    on = problem._replace(chunks=unseen)
-    a, b = (evaluate(on, f.v, (), f.noise).loglik for f in (without, with_it))
-    return b - a
+    """Gain in log-likelihood of held-out sessions [nats], with all constants as fitted."""
+    heldout = problem._replace(chunks=unseen)
+    before, after = (evaluate(heldout, f.v, (), f.noise).loglik for f in (without, with_it))
+    return after - before

@@ -1,7 +1,7 @@
-"""How a push of a body shows in the innovations: in the row that it acts in, and in a few after it.
+"""Impulse responses: how a push of a body changes the innovations of its own row and of a few rows after it.
 
-A push fades, for the bodies follow their commands and the estimate follows the measurements. So the echoes of one push
-in every row add up to what any law of pushes, however it varies from row to row, changes in the innovations.
+A push fades, because the bodies follow their commands and the estimate follows the measurements. So the change by any
+law of pushes, however it varies from row to row, is the sum of these responses (echoes).
 """
 
 from collections.abc import Collection, Sequence
@@ -18,18 +18,18 @@ from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_i
 from simgap.layout import X, Y
 
 ROWS = 8
-"""Rows in which a push shows."""
+"""Length of an impulse response [rows]."""
 DRIFTS = ("body_frame_bias", "constant_load")
-"""Effects that push steadily along one axis: of bodies, and of joints."""
+"""Effects that push steadily along one axis: of a body, and of a joint."""
 LEAST_LEFT = 0.02
-"""Share of what pushes change that a model cannot absorb, below which what is left is rounding."""
+"""Share of a law's information that the model cannot absorb. Below this it is a rounding error and counts as zero."""
 Echo = Float[np.ndarray, "C T-1 k s"]
-"""What a push of one unit in each row changes in the decorrelated innovations of that row and the k - 1 after it."""
+"""Impulse responses: change of the decorrelated innovations of a row and the k - 1 after it, by a unit push in it."""
 
 
 def own_echoes(problem: Problem, v: Variables, axes: Collection[str] | None = None) -> dict[str, Echo]:
-    """Along the bodies' own axes, or some of them."""
-    # What acts for a while only hardly changes how a push echoes: the pushes take the place of all supports.
+    """Impulse responses along the bodies' own axes, or along those in `axes`."""
+    # Effects that act in a support hardly change the responses, so the pushes take the place of all supports.
     v = v._replace(delta=np.zeros_like(v.delta[:1]))
     problem = problem._replace(chunks=problem.chunks._replace(gate=problem.chunks.gate[:, :1]))
     drifts = [c for c in hypotheses_of(problem.augmented, problem.scales) if c.effect.id in DRIFTS]
@@ -39,7 +39,7 @@ def own_echoes(problem: Problem, v: Variables, axes: Collection[str] | None = No
 
 
 def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
-    """Along the bodies' own axes, and along the world's where a body that turns moves over the ground."""
+    """Impulse responses along bodies' own axes, and along the world's for bodies that turn and move on the ground."""
     own, layout, world = own_echoes(problem, v), problem.augmented.layout, {}
     state = estimates(problem, v)
     for b, body in enumerate(layout.bodies):
@@ -53,7 +53,7 @@ def echoes(problem: Problem, v: Variables) -> dict[str, Echo]:
 
 
 def _echo(problem: Problem, v: Variables, still: Float[np.ndarray, "C T-1 s"], drift: Group, size: float) -> Echo:
-    """By pushes of this size in every so many rows, once from each row on; `still` are innovations without them."""
+    """Responses to pushes of this size in every `ROWS`-th row, from each row on. still: innovations without pushes."""
     chunks = problem.chunks
     pushed = with_value(v, drift._replace(support=1), size)
 
@@ -74,18 +74,18 @@ def _echo(problem: Problem, v: Variables, still: Float[np.ndarray, "C T-1 s"], d
 
 def direction(problem: Problem, echo: Echo, pushes: Sequence[Float[np.ndarray, "C T-1"]]) -> Float[np.ndarray, "f n s"]:
     """Change of the decorrelated innovations, in the rows that count, by pushes that vary from row to row."""
-    each = np.stack(pushes).astype(np.float32)[..., None]
-    d = each * echo[:, :, 0]
+    force = np.stack(pushes).astype(np.float32)[..., None]
+    d = force * echo[:, :, 0]
     for k in range(1, ROWS):
-        d[:, :, k:] += each[:, :, :-k] * echo[:, :-k, k]
+        d[:, :, k:] += force[:, :, :-k] * echo[:, :-k, k]
     return d[:, np.asarray(problem.chunks.counts)]
 
 
 class Heard(NamedTuple):
-    """What a push of one unit in each row does to the likelihood, so that laws are weighed without their directions.
+    """What a unit push in each row does to the likelihood. Laws are tested with it, without computing their directions.
 
-    score: along the residual. overlap: products of the echoes of pushes k = 0 ... ROWS - 1 rows apart. absorbed: the
-    part along each of the r directions that the model absorbs.
+    score: of such a push. overlap: inner products of the responses to pushes k = 0 ... ROWS - 1 rows apart. absorbed:
+    the part along each of the r directions that the model absorbs.
     """
 
     score: Float[np.ndarray, "C T-1"]
@@ -100,38 +100,42 @@ def hear(
     residual: Float[np.ndarray, " n*s"],
     basis: Float[np.ndarray, "n*s r"],
 ) -> Heard:
-    """Of one axis; `root` are the roots of the weights, that residual and basis hold already."""
+    """Test the pushes along one axis. root: of the weights; residual and basis are already multiplied by it."""
     counts = np.asarray(problem.chunks.counts)
 
     def placed(rows: np.ndarray) -> np.ndarray:
-        """What belongs to rows that count, in the chunks, and nothing behind their ends."""
-        found = np.zeros((counts.shape[0], counts.shape[1] + ROWS, *rows.shape[1:]), np.float32)
-        found[:, : counts.shape[1]][counts] = rows
-        return found
+        """Values of the rows that count at their places in the segments, with zeros after their ends."""
+        padded = np.zeros((counts.shape[0], counts.shape[1] + ROWS, *rows.shape[1:]), np.float32)
+        padded[:, : counts.shape[1]][counts] = rows
+        return padded
 
     outputs, rows = root.shape[1], counts.shape[1]
-    weight, rest = placed(root), placed(residual.reshape(-1, outputs))
+    weight, left = placed(root), placed(residual.reshape(-1, outputs))
     along = placed(basis.reshape(len(root), outputs, -1))
-    each = [echo[:, :, k] * weight[:, k : k + rows] for k in range(ROWS)]
+    responses = [echo[:, :, k] * weight[:, k : k + rows] for k in range(ROWS)]
     later = lambda a, k: np.concatenate([a[:, k:], np.zeros_like(a[:, :k])], axis=1)  # noqa: E731
     total = lambda parts: np.sum(list(parts), axis=0)  # noqa: E731
     return Heard(
-        -total((each[k] * rest[:, k : k + rows]).sum(2) for k in range(ROWS)),
-        np.stack([total((each[j + k] * later(each[j], k)).sum(2) for j in range(ROWS - k)) for k in range(ROWS)]),
-        total(np.einsum("cts,ctsr->ctr", each[k], along[:, k : k + rows]) for k in range(ROWS)),
+        -total((responses[k] * left[:, k : k + rows]).sum(2) for k in range(ROWS)),
+        np.stack(
+            [total((responses[j + k] * later(responses[j], k)).sum(2) for j in range(ROWS - k)) for k in range(ROWS)]
+        ),
+        total(np.einsum("cts,ctsr->ctr", responses[k], along[:, k : k + rows]) for k in range(ROWS)),
     )
 
 
 def evidence(heard: Heard, pushes: Sequence[Float[np.ndarray, "C T-1"]]) -> Evidence:
-    """What speaks for laws of pushes, by the row in which they push: score, and what the model cannot absorb of the
-    information."""
-    each = np.stack(pushes).astype(np.float32)
-    met = each * heard.overlap[0]
+    """Score and information of laws of pushes, by the row in which they push.
+
+    The information is the part that the model cannot absorb.
+    """
+    force = np.stack(pushes).astype(np.float32)
+    information = force * heard.overlap[0]
     for k in range(1, ROWS):
-        met[:, :, :-k] += heard.overlap[k][:, :-k] * each[:, :, k:]
-        met[:, :, k:] += heard.overlap[k][:, :-k] * each[:, :, :-k]
-    score, power = ((each * a).reshape(len(each), -1) for a in (heard.score, met))
-    absorbed = each.reshape(len(each), -1) @ heard.absorbed.reshape(score.shape[1], -1)
-    left = 1 - (absorbed**2).sum(1) / np.maximum(power.sum(1), 1e-9)
-    left = np.where(left > LEAST_LEFT, left, 0.0)[:, None]
-    return Evidence(score * (left > 0), power * left, np.full(len(each), True))
+        information[:, :, :-k] += heard.overlap[k][:, :-k] * force[:, :, k:]
+        information[:, :, k:] += heard.overlap[k][:, :-k] * force[:, :, :-k]
+    score, power = ((force * per_push).reshape(len(force), -1) for per_push in (heard.score, information))
+    absorbed = force.reshape(len(force), -1) @ heard.absorbed.reshape(score.shape[1], -1)
+    share = 1 - (absorbed**2).sum(1) / np.maximum(power.sum(1), 1e-9)
+    share = np.where(share > LEAST_LEFT, share, 0.0)[:, None]
+    return Evidence(score * (share > 0), power * share, np.full(len(force), True))

@@ -16,9 +16,9 @@ from simgap.diagnosis.likelihood.student_t import log_density
 
 SETTLED = 1.0
 SETTLED_SHARE = 0.01
-"""Nats, and share of a hypothesis' gain, that decide nothing beside it."""
+"""Differences in gain below this [nats], or below this share of a hypothesis' gain, are ties."""
 Reporter = Callable[[str], None]
-"""`say(line)`: what is being tried."""
+"""`report(line)`: what is being done."""
 
 
 class Model(NamedTuple):
@@ -30,10 +30,10 @@ class Model(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A hypothesis with its constants fitted: gain in log-likelihood over the model without it [nats].
+    """A hypothesis with its constants fitted. gain: in log-likelihood over the model without it [nats].
 
-    Without a change since a baseline, the effect may be there all along: `without` has its twin fitted. expected: what
-    the screening expects it to gain. share: of its gain, what the misfit of the effects before it would not explain.
+    without: the fitted model without it. For a change since a baseline it has the twin, because the effect may act all
+    along. expected: gain by the screening [nats]. share: of the gain, what misfit of earlier effects cannot explain.
     """
 
     hypothesis: Hypothesis
@@ -45,33 +45,33 @@ class Trial(NamedTuple):
 
     @staticmethod
     def of(hypothesis: Hypothesis, fit: Fit, without: Fit, expected: float = 0.0, share: float = 1.0) -> "Trial":
-        """With the gain that the two fits make."""
+        """A trial with the gain of one fit over the other."""
         return Trial(hypothesis, fit, without, fit.loglik - without.loglik, expected, share)
 
     @property
     def beyond(self) -> float:
-        """Gain [nats] beyond what the misfit of the effects before it would explain."""
+        """Gain [nats] beyond what misfit of the earlier effects would explain."""
         return self.share * self.gain
 
     @property
     def promise(self) -> float:
-        """What it may gain when it is fitted to the end.
+        """Gain [nats] that it may have once its fit has converged.
 
-        Where an effect moves phi or the gain far, the derivatives at hand do not lead there.
+        If an effect moves phi or the filter gain far, the current derivatives do not lead there.
         """
         return max(self.gain, self.expected)
 
     def further(self, fit_further: Callable[[Fit], Fit]) -> "Trial":
-        """Fitted on."""
+        """The trial with its fit continued."""
         return Trial.of(self.hypothesis, fit_further(self.fit), self.without, self.expected, self.share)
 
 
 HeldOutCheck = Callable[[Problem, Trial, float], bool]
-"""Whether sessions that take no part agree that an effect is there, which must gain so many nats."""
+"""Held-out check of an effect that must gain at least `required` nats."""
 
 
 class Round(NamedTuple):
-    """One search for one more effect: the screening, the hypotheses that were fitted, best first, and the addition."""
+    """One search for one more effect: the screening, the fitted hypotheses (best first), and the accepted one."""
 
     screening: Screening
     tried: list[Trial]
@@ -79,12 +79,12 @@ class Round(NamedTuple):
 
     @property
     def rejected(self) -> float:
-        """What the best hypothesis gains [nats] where none was accepted."""
+        """Gain [nats] of the best hypothesis if none was accepted, else 0."""
         return 0.0 if self.accepted else max((t.gain for t in self.tried), default=0.0)
 
 
 class Found(NamedTuple):
-    """What the forward search ends with: the models without any effect and with the chosen ones."""
+    """Result of the forward search: the model without effects and the one with the chosen effects."""
 
     base: Fit
     model: Model
@@ -93,19 +93,19 @@ class Found(NamedTuple):
 
 
 def decorrelated(problem: Problem, fit: Fit) -> Model:
-    """The model whose innovations are decorrelated anew, by what the fit leaves over, and fitted again."""
+    """The model refitted with outputs that are decorrelated by its own residuals."""
     problem = problem._replace(whiten=whitening(fit.e @ np.linalg.inv(problem.whiten).T))
     return Model(problem, *optimise(problem, evaluate(problem, fit.v, fit.groups)))
 
 
 def absorbing(model: Model) -> Float[np.ndarray, "M n s"]:
-    """Derivatives of all that is free in the model."""
+    """Derivatives of the innovations by all that is free in the model."""
     problem, fit, nuisance = model
     return np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
 
 
 def without(fit: Fit, groups: Sequence[Group]) -> Fit:
-    """The fit with some constants at zero and no longer free; nothing is fitted anew."""
+    """The fit with some constants at zero and no longer free. Nothing is refitted."""
     v = fit.v
     for group in groups:
         v = with_value(v, group, 0.0)
@@ -113,27 +113,27 @@ def without(fit: Fit, groups: Sequence[Group]) -> Fit:
 
 
 def refitted_without(model: Model, effects: Sequence[Hypothesis], enough: float = CONVERGED) -> Model:
-    """The model without some of its effects, fitted anew until steps gain less than `enough` [nats].
+    """The model without some of its effects, refitted until iterations gain less than `enough` [nats].
 
-    From nominal parameters and gain where the simulator leaves the finite numbers without these effects, and without
-    any of them where it does so there as well.
+    If the simulator diverges without these effects, the fit starts at nominal parameters and filter gain. If it
+    diverges there as well, the fit starts without any effects.
     """
     problem, fit, _ = model
     rest, nominal = without(fit, [group for effect in effects for group in effect.groups]), start(problem)
     for v in (rest.v, nominal._replace(theta=rest.v.theta, delta=rest.v.delta), nominal):
-        begun = evaluate(problem, v, rest.groups)
-        if np.isfinite(begun.loglik):
+        initial = evaluate(problem, v, rest.groups)
+        if np.isfinite(initial.loglik):
             break
-    return Model(problem, *optimise(problem, begun, enough))
+    return Model(problem, *optimise(problem, initial, enough))
 
 
 def settled(gain: float) -> float:
-    """Nats that decide nothing beside such a gain."""
+    """Differences below this [nats] are ties, next to such a gain."""
     return max(SETTLED, SETTLED_SHARE * gain)
 
 
 def least(problem: Problem, base: Fit, fit: Fit, better: Fit) -> float:
-    """Least gain [nats] of a further effect: `LEAST_SHARE` of what was gained so far in the outputs it improves."""
+    """Gain [nats] required of a further effect: `LEAST_SHARE` of what was gained so far in the outputs it improves."""
     now, before = (log_density(f.e, f.noise).sum(0) for f in (fit, evaluate(problem, base.v, ())))
-    more = np.maximum(log_density(better.e, better.noise).sum(0) - now, 0.0)
-    return LEAST_SHARE * float(np.maximum(now - before, 0.0) @ more) / max(float(more.sum()), 1e-9)
+    improvement = np.maximum(log_density(better.e, better.noise).sum(0) - now, 0.0)
+    return LEAST_SHARE * float(np.maximum(now - before, 0.0) @ improvement) / max(float(improvement.sum()), 1e-9)

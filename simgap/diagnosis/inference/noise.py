@@ -1,7 +1,8 @@
-"""Effects that do not move the mean: scatter that grows with motion, rows that come late, lost commands, stepping.
+"""Effects on the noise: noise that grows with motion, late rows, lost commands, oscillation at one frequency.
 
-They are looked for in what the best model of the mean leaves over: each is another distribution of the innovations,
-and is claimed where it makes them likelier, block by block, in training and in held-out sessions.
+They leave the mean unchanged and are sought in the innovations of the best model of the mean. Each is a different
+distribution of the innovations. It is claimed where it raises their likelihood, block by block, in training and in
+held-out sessions.
 """
 
 from simgap.diagnosis.config import LIKELY
@@ -13,10 +14,10 @@ from simgap.diagnosis.likelihood.segments import Chunks
 
 
 def noise_effects(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None = None) -> list[NoiseEffect]:
-    """All effects on the scatter that training and held-out sessions agree on, but for what a baseline has as well."""
-    found = [of_rows(problem, fit, unseen), stepping(problem, fit, unseen, before)]
-    if before is not None and found[0] is not None:
-        known = of_rows(problem, fit, before)
-        if known is not None and known.id == found[0].id:
-            found = found[1:]
-    return [f for f in found if f is not None and f.odds[f.id] >= LIKELY]
+    """All effects on the noise that training and held-out sessions support, except those that a baseline shows too."""
+    effects = [of_rows(problem, fit, unseen), stepping(problem, fit, unseen, before)]
+    if before is not None and effects[0] is not None:
+        in_baseline = of_rows(problem, fit, before)
+        if in_baseline is not None and in_baseline.id == effects[0].id:
+            effects = effects[1:]
+    return [effect for effect in effects if effect is not None and effect.odds[effect.id] >= LIKELY]

@@ -1,4 +1,4 @@
-"""What is said of an effect that moves the scatter and not the mean."""
+"""Result for an effect that changes the noise and not the mean."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,14 +10,14 @@ from simgap.diagnosis.likelihood.student_t import Noise
 from simgap.types import Field
 
 REQUIRED = 10.0
-"""Least gain [nats]; hypotheses on the scatter have two or three constants each."""
+"""Minimum gain [nats]; hypotheses on the noise have two or three constants each."""
 OTHER = "other_noise"
-"""In place of an effect's id: noise that has no name, outliers among it, and misfit of the laws of the mean."""
+"""Stands in place of an effect's id: unnamed noise, which includes outliers and misfit of the laws of the mean."""
 
 
 class Axis(NamedTuple):
-    """Along a direction: what x is called, where the plain rows lie on it, what the direction's length is there; and
-    edges of the bins, in such lengths from the plain rows."""
+    """The x axis along a direction: its label, x of the plain rows, x per length of the direction, and edges of the
+    bins in such lengths from the plain rows."""
 
     label: str
     plain: float
@@ -26,8 +26,8 @@ class Axis(NamedTuple):
 
 
 class Between(NamedTuple):
-    """What a mixture says of rows: innovations under each hypothesis, the plain one first, of the given shares, and a
-    direction along which they differ."""
+    """Rows as a mixture: innovations under each hypothesis, the plain one first; the shares of the hypotheses; and a
+    direction along which the innovations differ."""
 
     several: Sequence[Float[np.ndarray, "n s"]]
     direction: Float[np.ndarray, "n s"]
@@ -37,7 +37,7 @@ class Between(NamedTuple):
 
 
 class Widening(NamedTuple):
-    """Innovations whose scale grows from 1 at rest to the ratio at the usual speed."""
+    """Innovations whose scale grows from 1 at rest to `ratio` at the usual speed."""
 
     e: Float[np.ndarray, "n c"]
     noise: Noise
@@ -46,7 +46,7 @@ class Widening(NamedTuple):
 
 
 class Spectrum(NamedTuple):
-    """Power of an output's innovations by frequency, summed over segments, a wave at bin k, the level around it.
+    """Power spectrum of an output's innovations, summed over segments: a peak at bin k, and the level around it.
 
     hertz: width of a bin.
     """
@@ -60,10 +60,10 @@ class Spectrum(NamedTuple):
 
 
 class NoiseEffect(NamedTuple):
-    """An effect on the scatter: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats].
+    """An effect on the noise: constants [{name, value, unit, ci95}], gains in training and held-out rows [nats].
 
-    Gains are over the likeliest noise that has no name. rare: it is a matter of single rows. odds: probability of every
-    id that could stand in its place, `OTHER` among them. shown: the law and the data, as `scatter_pictures` draws them.
+    Gains are over the most likely unnamed noise. rare: it concerns single rows. odds: probability of every id that
+    could stand in its place, including `OTHER`. shown: the law and the data, as `noise_figures` draws them.
     """
 
     id: str

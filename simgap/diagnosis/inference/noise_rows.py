@@ -1,7 +1,7 @@
-"""Rows that scatter more than others: noise that grows with motion, rows that come late, lost commands.
+"""Effects on the noise of single rows: noise that grows with motion, late rows, lost commands.
 
-Each is another distribution of the innovations, row by row (`row_mixture`), and they compete: with each other, with
-rows that are wide in no direction, and with misfit along the directions in which lost commands would move the rows.
+Each is a distribution of the innovations, row by row (`row_mixture`). They compete with each other, with rows that are
+wide without a direction, and with misfit along the directions in which lost commands would move the rows.
 """
 
 from collections.abc import Callable
@@ -21,37 +21,37 @@ from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.likelihood.student_t import Noise, log_density
 
 SURE = 3.5
-"""Standard deviations, over blocks of rows, by which the gain of what acts in all rows must exceed zero."""
+"""Standard deviations, over blocks of rows, by which the gain of an effect on all rows must exceed zero."""
 ODDEST = 3
-"""Blocks of rows without which the gain of what acts in few rows must suffice: it has to happen again and again."""
+"""Best blocks of rows that do not count for an effect on few rows: it must occur repeatedly."""
 RARE, COMMON = 0.02, 0.3
-"""Shares of rows with which the fit of a component begins, of what acts in few rows and in many."""
+"""Initial share of a component, for effects on few rows and on many."""
 SPREAD = 0.3
-"""Standard deviation of an amplitude, and slope of the noise by the motion, with which their fits begin."""
+"""Initial standard deviation of an amplitude, and initial slope of the noise with the motion."""
 
 
 def of_rows(problem: Problem, fit: Fit, unseen: Chunks) -> NoiseEffect | None:
-    """The best word for rows that scatter more than others, if it is better than noise without a name."""
+    """The best effect on the noise of single rows, if it beats unnamed noise."""
     training, heldout = (sample_of(problem._replace(chunks=c), fit) for c in (problem.chunks, unseen))
     return explained(robot_of(problem), fit.noise, training, heldout)
 
 
 def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> NoiseEffect | None:
-    """The same, of samples."""
+    """The same, from samples."""
     groups = (np.arange(len(robot.outputs)), *(b for b in robot.bodies.values() if 0 < len(b) < len(robot.outputs)))
     plain = _fit(OTHER, lambda s: Law(groups, s.e[:0, None]), training, row_mixture.of_plain(noise, groups))
     independent = log_density(training.e, noise).sum(1)
-    named = [*_late_rows(plain, training), *_motion(robot, plain, training), *_lost_commands(plain, training)]
-    named = [f for f in named if _certain(f, plain, independent, training.starts)]
-    # Where the noise of one of these fits better without its law as well, that was no merit of the law.
+    named = [*_late_rows(plain, training), *_motion_noise(robot, plain, training), *_lost_commands(plain, training)]
+    named = [f for f in named if _significant(f, plain, independent, training.starts)]
+    # The noise of such a fit may be better even without its law. That gain is not due to the law.
     number = len(plain.mixture.shares)
     noises = [row_mixture.without_shifts(f.mixture, len(f.mixture.shares) - number) for f in named]
     plain = max((plain, *(_fit(OTHER, plain.law, training, m) for m in noises)), key=_score)
-    named = [f for f in named if _certain(f, plain, independent, training.starts)]
+    named = [f for f in named if _significant(f, plain, independent, training.starts)]
     if not named:
         return None
-    held = {f.about for f in named if f.id == "dropout"}
-    others = [plain, *(m for i in held for m in _misfit(plain, training, i))]
+    subsystems = {f.about for f in named if f.id == "dropout"}
+    others = [plain, *(m for i in subsystems for m in _misfit(plain, training, i))]
     best = {f.id: f for f in sorted([*others, *named], key=_score)}
     lead = max(best.values(), key=_score)
     gain = lead.density - plain.density
@@ -64,36 +64,37 @@ def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> 
         lead.id,
         float(gain.sum()),
     )
-    seen = [row_mixture.density(f.law(heldout), heldout.e, f.mixture) for f in (lead, plain)]
-    held_gain = float((seen[0] - seen[1]).sum())
-    if held_gain <= 0:
+    densities = [row_mixture.density(f.law(heldout), heldout.e, f.mixture) for f in (lead, plain)]
+    heldout_gain = float((densities[0] - densities[1]).sum())
+    if heldout_gain <= 0:
         return None
-    said = {
+    describe = {
         "dropout": lost_said,
         "motion_dependent_noise": wide_said,
         "sampling_interval": late_said if lead.rare else uneven_said,
     }
     return NoiseEffect(
-        id=lead.id, rare=lead.rare, gain=float(gain.sum()), heldout_gain=held_gain, odds=odds,
-        **said[lead.id](robot, training, lead),
+        id=lead.id, rare=lead.rare, gain=float(gain.sum()), heldout_gain=heldout_gain, odds=odds,
+        **describe[lead.id](robot, training, lead),
     )  # fmt: skip
 
 
 def _score(f: Fitted) -> float:
-    """Log-likelihood less log n / 2 a constant."""
+    """Log-likelihood minus 0.5 log n per constant."""
     return float(f.density.sum()) - 0.5 * f.constants * np.log(max(len(f.density), 1))
 
 
-def _certain(f: Fitted, plain: Fitted, independent: Float[np.ndarray, " n"], starts: np.ndarray) -> bool:
-    """Whether a hypothesis gains more than chance over noise without a name, blocks of rows being independent.
+def _significant(f: Fitted, plain: Fitted, independent: Float[np.ndarray, " n"], starts: np.ndarray) -> bool:
+    """Whether a hypothesis gains more than chance over unnamed noise, with blocks of rows as independent units.
 
-    What is rare has its gain in few blocks, whose spread would be all of it: it must happen again and again. Wide rows
-    may share the credit for each of these, so there it counts against noise that is independent in every output.
+    A rare effect gains in few blocks, so its standard deviation over blocks is as large as its gain. It must occur
+    repeatedly instead. Wide rows may share the credit for each occurrence, so these gains are taken over noise that is
+    independent in every output.
     """
     gain = f.density - plain.density
     if f.rare:
-        again = np.sort(np.add.reduceat(f.density - independent, starts))[:-ODDEST].sum()
-        return bool(gain.sum() > REQUIRED and again > REQUIRED)
+        repeated = np.sort(np.add.reduceat(f.density - independent, starts))[:-ODDEST].sum()
+        return bool(gain.sum() > REQUIRED and repeated > REQUIRED)
     per_block = np.add.reduceat(gain, starts)
     return bool(gain.sum() > REQUIRED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
 
@@ -110,58 +111,57 @@ def _groups(plain: Fitted, sample: Sample) -> tuple[Int[np.ndarray, " g"], ...]:
 
 
 def _late_rows(plain: Fitted, sample: Sample) -> list[Fitted]:
-    """Rows in which the robot moved on for longer than the nominal interval, or for an uneven time, all positions
-    alike."""
+    """Rows in which all positions advance for longer than the nominal interval, or for an uneven time."""
     if not sample.advance.any():
         return []
     groups = _groups(plain, sample)
     late = lambda s: Law(groups, STALLS[:, None, None] * s.advance)  # noqa: E731
     uneven = lambda s: Law(groups, s.advance[None], free=True, everywhere=True)  # noqa: E731
-    begun = row_mixture.with_shifts(plain.mixture, np.full(len(STALLS), RARE))
-    every = row_mixture.with_shifts(plain.mixture, np.array([1 - COMMON]))._replace(mean=0.0, sd=SPREAD)
-    stalls = _fit("sampling_interval", late, sample, begun, rare=True)
+    stalls_start = row_mixture.with_shifts(plain.mixture, np.full(len(STALLS), RARE))
+    uneven_start = row_mixture.with_shifts(plain.mixture, np.array([1 - COMMON]))._replace(mean=0.0, sd=SPREAD)
+    stalls = _fit("sampling_interval", late, sample, stalls_start, rare=True)
     stalls = stalls._replace(constants=int((stalls.mixture.shares[-len(STALLS) :] * len(sample.e) >= 1).sum()))
-    return [stalls, _fit("sampling_interval", uneven, sample, every, 1)]
+    return [stalls, _fit("sampling_interval", uneven, sample, uneven_start, 1)]
 
 
-def _motion(robot: Robot, plain: Fitted, sample: Sample) -> list[Fitted]:
-    """Noise of all outputs by all motion, or of a body's by its own."""
-    groups, found = _groups(plain, sample), []
+def _motion_noise(robot: Robot, plain: Fitted, sample: Sample) -> list[Fitted]:
+    """Noise of all outputs that grows with all motion, or of one body's outputs with its own motion."""
+    groups, fits = _groups(plain, sample), []
     for k, columns in enumerate([np.arange(len(robot.outputs)), *robot.bodies.values()]):
         if k and not 0 < len(columns) < len(robot.outputs):
             continue
         own = np.isin(np.arange(len(robot.outputs)), columns)
         law = lambda s, k=k, own=own: Law(groups, s.e[:0, None], moving=s.moving[:, [k]] * own)  # noqa: E731
-        found.append(_fit("motion_dependent_noise", law, sample, plain.mixture._replace(slope=SPREAD), 1, about=k))
-    return found
+        fits.append(_fit("motion_dependent_noise", law, sample, plain.mixture._replace(slope=SPREAD), 1, about=k))
+    return fits
 
 
-def _held(groups: tuple[Int[np.ndarray, " g"], ...], i: int, free: bool) -> Callable[[Sample], Law]:
+def _held_law(groups: tuple[Int[np.ndarray, " g"], ...], i: int, free: bool) -> Callable[[Sample], Law]:
     return lambda s: Law(groups, s.e - s.held[i], bursts=True, free=free)
 
 
 def _lost_commands(plain: Fitted, sample: Sample) -> list[Fitted]:
-    """Rows in which an earlier command acts instead of the one sent: of the subsystems, the one that gains most.
+    """Rows in which an earlier command acts instead of the one sent, for the subsystem that gains most.
 
-    By the whole way from one to the other, or about it: an estimate that follows the state late sees less, or more.
+    They are shifted by the full difference between the two, or about that: a late state estimate shows less, or more.
     """
-    begun = row_mixture.with_shifts(plain.mixture, np.full(len(HELD), RARE))
-    groups, number = _groups(plain, sample), range(len(sample.held))
-    exact = [_fit("dropout", _held(groups, i, False), sample, begun, about=i) for i in number]
+    exact_start = row_mixture.with_shifts(plain.mixture, np.full(len(HELD), RARE))
+    groups, subsystems = _groups(plain, sample), range(len(sample.held))
+    exact = [_fit("dropout", _held_law(groups, i, False), sample, exact_start, about=i) for i in subsystems]
     best = max(exact, key=_score)
-    law, start = _held(groups, best.about, True), best.mixture._replace(sd=SPREAD)
+    law, start = _held_law(groups, best.about, True), best.mixture._replace(sd=SPREAD)
     return [_fit("dropout", law, sample, start, len(HELD) + 1, rare=True, about=best.about)]
 
 
 def _misfit(plain: Fitted, sample: Sample, i: int) -> list[Fitted]:
-    """Rows that are moved along the way from the command sent to an earlier one, but not about all of it.
+    """Rows shifted towards an earlier command, but not by about the full difference.
 
-    In many rows about none of it, either way; or in some about half: as where the response to commands differs from
-    the model's.
+    Either many rows by about zero, with either sign; or some by about half. This happens where the response to commands
+    differs from the model's.
     """
-    law = _held(_groups(plain, sample), i, True)
+    law = _held_law(_groups(plain, sample), i, True)
     many, few = np.array([COMMON, *[RARE] * (len(HELD) - 1)]), np.full(len(HELD), RARE)
-    begun = [
+    starts = [
         row_mixture.with_shifts(plain.mixture, s)._replace(mean=m, sd=SPREAD) for m, s in ((0.0, many), (0.5, few))
     ]
-    return [_fit(OTHER, law, sample, start, len(HELD) + 1) for start in begun]
+    return [_fit(OTHER, law, sample, start, len(HELD) + 1) for start in starts]

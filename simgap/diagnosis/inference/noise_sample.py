@@ -1,4 +1,4 @@
-"""Rows under the model of the mean: innovations, and how stalls and lost commands would move them."""
+"""Rows under the model of the mean: innovations, and how stalls and lost commands would shift them."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -15,15 +15,18 @@ from simgap.layout import Layout
 from simgap.rows import by_row
 
 STALLS = np.array([0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
-"""Further nominal intervals that a late row may contain."""
+"""Additional nominal intervals that a late row may contain."""
 HELD = (1, 2, 3, 4)
-"""Rows for which a lost command leaves the last one acting."""
+"""Ages [rows] of the last command received, which acts while later ones are lost."""
 
 
 class Robot(NamedTuple):
-    """What is said of it. interval: [s] that rows span by the positions' own advance, which need not be the nominal
-    step; integrated: positions whose velocities are measured; bodies: each one's outputs; subsystems: what may lose its
-    commands together, each with the outputs of its bodies."""
+    """What the statements refer to.
+
+    interval: time [s] that a row spans by the positions' own advance, which may differ from the nominal step.
+    integrated: positions whose velocities are measured. bodies: the outputs of each. subsystems: what may lose its
+    commands together, each with the outputs of its bodies.
+    """
 
     interval: float
     time_step: float
@@ -36,8 +39,8 @@ class Robot(NamedTuple):
 class Sample(NamedTuple):
     """One set of sessions under the model of the mean: decorrelated innovations, and what the hypotheses need.
 
-    moving: how fast the robot, and each of its bodies, goes at that, 1 at the usual speed. advance: what a further
-    interval adds. held: innovations of every row, had an earlier command acted there, for each of the subsystems.
+    moving: predicted speed of the robot and of each body, 1 at the usual speed. advance: what an additional interval
+    adds to the innovations. held: innovations of every row if an earlier command had acted there, for each subsystem.
     """
 
     e: Float[np.ndarray, "n s"]
@@ -48,8 +51,8 @@ class Sample(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A hypothesis: its law of any sample, its constants, ln p of the training rows, and the number of constants beyond
-    those of noise without a name."""
+    """A fitted hypothesis: its law, given a sample; its constants; ln p of the training rows; and the number of
+    constants beyond those of unnamed noise."""
 
     id: str
     law: Callable[[Sample], Law]
@@ -80,24 +83,24 @@ def _subsystems(layout: Layout) -> list[list[int]]:
     """Channels that may lose their commands together: all, or those of one body."""
     fields = layout.schema.command
     of_bodies = [[i for i, f in enumerate(fields) if f.body == body] for body in layout.bodies]
-    every = list(range(len(fields)))
-    return [every, *(channels for channels in of_bodies if channels and channels != every)]
+    everything = list(range(len(fields)))
+    return [everything, *(channels for channels in of_bodies if channels and channels != everything)]
 
 
 def sample_of(problem: Problem, fit: Fit) -> Sample:
     chunks = problem.chunks
     layout, scales = problem.augmented.layout, problem.scales
     counts = np.asarray(chunks.counts)
-    # As predicted: what was measured in a row holds the row's own noise, and would be large where that is.
+    # The speed is that of the predicted state: a measured one contains the row's own noise and grows with it.
     state = np.array(chunks.state)[:, 1:]
     outputs = len(problem.whiten)
     state[..., :outputs] -= raw_innovations(problem, fit.v)
     state = state[counts]
     speed, moves = np.maximum(scales.speed, 1e-6), scales.speed > 1e-6
     squared = (by_row(motion, layout, state).velocity / speed) ** 2 * moves
-    each = squared.sum(2) / np.maximum(moves.sum(1), 1)
-    whole = squared.mean((1, 2)) if layout.bodies else np.zeros(len(state))
-    moving = np.sqrt(np.column_stack([whole, each]))
+    by_body = squared.sum(2) / np.maximum(moves.sum(1), 1)
+    overall = squared.mean((1, 2)) if layout.bodies else np.zeros(len(state))
+    moving = np.sqrt(np.column_stack([overall, by_body]))
     integrates = layout.integrates
     rate = np.where(integrates >= 0, state[:, np.maximum(integrates, 0)], 0.0) * scales.interval
     keys, theta = [effect.key for effect in problem.augmented.catalogue], fit.v.theta

@@ -13,17 +13,17 @@ from simgap.diagnosis.inference.row_mixture_em import Mixture
 from simgap.diagnosis.likelihood.student_t import Noise
 
 SPANS = np.convolve([-1.5, -1.0, -0.5, 0.0, *STALLS, 8.0], [0.5, 0.5], "valid")
-"""Edges of a picture's bins, one about each of these, in further nominal intervals."""
+"""Edges of a picture's bins, one about each length of stall, in additional nominal intervals."""
 EVEN = np.arange(-1.125, 2.2, 0.25)
-"""The same where there are no such lengths."""
+"""The same with even bins, where no lengths are given."""
 
 
-def _constant(sample: Sample, f: Fitted, name: str, unit: str, of: Callable[[Mixture], float]) -> dict[str, Any]:
+def _constant(sample: Sample, f: Fitted, name: str, unit: str, value_of: Callable[[Mixture], float]) -> dict[str, Any]:
     law = f.law(sample)
     interval = (row_mixture.burst_interval if law.bursts else row_mixture.interval)(
-        law, sample.e, f.mixture, sample.starts, of
+        law, sample.e, f.mixture, sample.starts, value_of
     )
-    return {"name": name, "value": of(f.mixture), "unit": unit, "ci95": interval}
+    return {"name": name, "value": value_of(f.mixture), "unit": unit, "ci95": interval}
 
 
 def late_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def uneven_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
     return {
         "constants": [jitter], "outputs": robot.integrated,
         "shown": _spans(robot, several, training, shares / shares.sum(), f.mixture.noise, EVEN),
-        "statement": "Rows are not evenly spaced in time: the time that they span scatters by "
+        "statement": "Rows are not evenly spaced in time: the time that they span has a standard deviation of "
         f"{jitter['value']:.3f} s.",
     }  # fmt: skip
 
@@ -58,13 +58,13 @@ def uneven_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
 def _spans(
     robot: Robot, several: list[np.ndarray], training: Sample, shares: np.ndarray, noise: Noise, edges: np.ndarray
 ) -> Between:
-    """The time that rows span, by how far the robot went in them."""
-    axis = Axis("time a row spans, by the way covered [s]", robot.interval, robot.interval, edges)
+    """The time that rows span, inferred from the distance covered in them."""
+    axis = Axis("time that a row spans, from the distance covered [s]", robot.interval, robot.interval, edges)
     return Between(several, training.advance, shares, noise, axis)
 
 
 def _of_shifts(mixture: Mixture, number: int) -> Float[np.ndarray, " k"]:
-    """Shares of the rows that are not shifted, and of those that are."""
+    """Share of the rows that are not shifted, then the shares of those that are."""
     return np.append(mixture.shares[:-number].sum(), mixture.shares[-number:])
 
 
@@ -79,8 +79,8 @@ def wide_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
     return {
         "constants": [ratio], "outputs": names,
         "shown": Widening(training.e[:, columns], noise, training.moving[:, f.about], ratio["value"]),
-        "statement": f"The scatter{where} grows with the motion: {ratio['value']:.1f} times as wide when moving as at "
-        "rest; error bars are wrong, not means.",
+        "statement": f"The noise{where} grows with the motion: it is {ratio['value']:.1f} times as large when "
+        "moving as at rest. This affects error bars, not means.",
     }  # fmt: skip
 
 
@@ -91,14 +91,14 @@ def lost_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
         training, f, "length", "s",
         lambda m: robot.time_step * float(m.shares[-last:].sum() / max(m.shares[-last], 1e-9)),
     )  # fmt: skip
-    low, high = length["ci95"]  # within its last row a burst may end anywhere
+    low, high = length["ci95"]  # a burst may end anywhere within its last row
     length["ci95"] = [max(low - robot.time_step / 2, 0.0), high + robot.time_step / 2]
     of, outputs = robot.subsystems[f.about]
-    axis = Axis("command that acts: 0 the one sent, 1 the last [-]", 0.0, 1.0, EVEN)
+    axis = Axis("command that acts: 0 = the one sent, 1 = the previous one [-]", 0.0, 1.0, EVEN)
     shares = _of_shifts(f.mixture, last)
     return {
         "constants": [rate, length], "outputs": outputs,
         "shown": Between([training.e, *held], training.e - held[0], shares, f.mixture.noise, axis),
-        "statement": f"Commands{of} are lost now and then ({rate['value']:.1f} times a minute, for about "
-        f"{length['value']:.2f} s), and the last one acts on.",
+        "statement": f"Commands{of} are sometimes lost ({rate['value']:.1f} times a minute, for about "
+        f"{length['value']:.2f} s). The last one received keeps acting.",
     }  # fmt: skip

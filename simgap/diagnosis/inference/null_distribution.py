@@ -1,7 +1,7 @@
 """Evidence for many directions, block by block, and the null distribution of its maximum.
 
-With hundreds of hypotheses one fits well by chance. So the best is compared with the distribution of the best under
-noise alone (block multiplier bootstrap).
+With hundreds of hypotheses one fits well by chance. So the best is compared with the null distribution of the maximum
+(block multiplier bootstrap).
 """
 
 from functools import partial
@@ -16,12 +16,14 @@ DRAWS = 4000
 AT_ONCE = 1000
 """Directions whose draws are kept in memory at once."""
 NOTHING = 1e-4
-"""Squared length of a direction [nats] that is nothing at all."""
+"""Information [nats] below this counts as zero."""
 
 
 class Evidence(NamedTuple):
-    """What speaks for directions in every row that counts: score and information (twice its gain, were the effect there
-    as it starts). two_sided: whether the direction can be gone along backwards."""
+    """Score and information of directions in every row that counts. two_sided: whether the amplitude may be negative.
+
+    The information is twice the gain of an effect that has its starting value.
+    """
 
     score: Float[np.ndarray, "h n"]
     power: Float[np.ndarray, "h n"]
@@ -29,8 +31,9 @@ class Evidence(NamedTuple):
 
 
 class Weighed(NamedTuple):
-    """Evidence summed over rows. amplitude: of the start, by which the residual goes along with a direction. gain
-    [nats]; statistic (chi-squared with one degree of freedom); left: what the score's blocks differ by, of length one.
+    """Evidence summed over rows. amplitude: the best along a direction, in units of its start. gain [nats].
+
+    statistic: chi-squared with one degree of freedom. left: residuals of the blocks' scores, scaled to length one.
     """
 
     amplitude: Float[np.ndarray, " h"]
@@ -40,32 +43,32 @@ class Weighed(NamedTuple):
 
 
 def weigh(evidence: Evidence, starts: Int[np.ndarray, " B"]) -> Weighed:
-    """How each direction and the residual go together; `starts` are those of the blocks."""
+    """Amplitude, gain and test statistic of each direction. starts: first rows of the blocks."""
     score, power, two_sided = evidence
     in_blocks = partial(np.add.reduceat, indices=starts, axis=1, dtype=np.float64)
     if not len(starts):
-        nil = np.zeros(len(score))
-        return Weighed(nil, nil, nil, np.zeros((len(score), 0)))
+        zero = np.zeros(len(score))
+        return Weighed(zero, zero, zero, np.zeros((len(score), 0)))
     scores, powers = in_blocks(score), in_blocks(power)
     total, information = scores.sum(1), powers.sum(1)
-    something = information > NOTHING
-    amplitude = np.where(something, total / np.maximum(information, NOTHING), 0.0)
-    # A law that acts in a few blocks only would be measured against itself, were its own part not taken out first.
+    informative = information > NOTHING
+    amplitude = np.where(informative, total / np.maximum(information, NOTHING), 0.0)
+    # Subtract the fitted effect: a law that acts in a few blocks would otherwise inflate its own variance.
     left = scores - amplitude[:, None] * powers
-    variance, blocks_acted_in = _variance(score - amplitude[:, None] * power, left, powers, something)
-    # Nor may such a law rest on a single block.
-    along = scores * np.sign(total)[:, None]
-    best = along.argmax(1)[:, None]
-    first, its = (np.take_along_axis(a, best, 1)[:, 0] for a in (along, powers))
-    rest, remaining = np.maximum(np.abs(total) - first, 0.0), 1 - its / np.maximum(information, NOTHING)
+    variance, blocks_acted_in = _variance(score - amplitude[:, None] * power, left, powers, informative)
+    # Such a law must not rest on a single block: its strongest is left out.
+    signed = scores * np.sign(total)[:, None]
+    best = signed.argmax(1)[:, None]
+    first, power_of_best = (np.take_along_axis(a, best, 1)[:, 0] for a in (signed, powers))
+    rest, remaining = np.maximum(np.abs(total) - first, 0.0), 1 - power_of_best / np.maximum(information, NOTHING)
     single = blocks_acted_in < FEW
     total, variance = np.where(single, rest, np.abs(total)), np.where(single, variance * remaining, variance)
-    possible = something & ((amplitude > 0) | two_sided)
+    possible = informative & ((amplitude > 0) | two_sided)
     return Weighed(
         amplitude,
         np.where(possible, 0.5 * amplitude**2 * information, 0.0),
         np.where(possible, total**2 / np.maximum(variance, NOTHING), 0.0),
-        left * (something / np.maximum(np.sqrt((left**2).sum(1)), NOTHING))[:, None],
+        left * (informative / np.maximum(np.sqrt((left**2).sum(1)), NOTHING))[:, None],
     )
 
 
@@ -73,24 +76,25 @@ def _variance(
     rows: Float[np.ndarray, "h n"],
     left: Float[np.ndarray, "h B"],
     powers: Float[np.ndarray, "h B"],
-    something: Bool[np.ndarray, " h"],
+    informative: Bool[np.ndarray, " h"],
 ) -> tuple[Float[np.ndarray, " h"], Float[np.ndarray, " h"]]:
-    """Of every direction's score, and the number of blocks that it acts in.
+    """Variance of every direction's score, and the number of blocks that it acts in.
 
-    Over rows, for the noise is not the same everywhere; times what rows of a block depend on each other, which a few
-    blocks are too few to tell: theirs is drawn towards that of all directions. At least what the noise makes it.
+    The variance is that over rows, because the noise is not the same everywhere, times a factor for dependence within
+    blocks. A few blocks do not determine the factor: theirs is shrunk towards the median of all directions. The
+    variance is at least the information, its value under independent noise.
     """
     information = np.maximum(powers.sum(1), NOTHING)
     acted_in = information**2 / np.maximum((powers**2).sum(1), NOTHING**2)
     over_rows = np.maximum((rows.astype(np.float64) ** 2).sum(1), NOTHING)
     dependence = (left**2).sum(1) / over_rows
-    usual = np.median(dependence[something]) if something.any() else 1.0
+    usual = np.median(dependence[informative]) if informative.any() else 1.0
     dependence = (FEW * usual + acted_in * dependence) / (FEW + acted_in)
     return np.maximum(over_rows * dependence, information), acted_in
 
 
 def blocks(counts: np.ndarray) -> np.ndarray:
-    """Starts of the blocks among the rows that count, none across two chunks."""
+    """First rows of the blocks, among the rows that count. No block crosses two segments."""
     starts, total = [], 0
     for n in counts.sum(1):
         starts += list(range(total, total + int(n), BLOCK))
@@ -99,14 +103,14 @@ def blocks(counts: np.ndarray) -> np.ndarray:
 
 
 def by_chance(weighed: Weighed, level: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Chance that noise alone gives as great a statistic as the greatest, and the one that it gives at `level`.
+    """p-value of the greatest statistic under noise alone, and the critical value at `level`.
 
-    Every block's score is noise then (multiplier bootstrap).
+    The null distribution of the maximum comes from random weights on the blocks' scores (multiplier bootstrap).
     """
     multipliers = rng.standard_normal((weighed.left.shape[1], DRAWS), np.float32)
     noise = np.zeros(DRAWS, np.float32)
     for first in range(0, len(weighed.left), AT_ONCE):
-        some = weighed.left[first : first + AT_ONCE].astype(np.float32)
-        noise = np.maximum(noise, ((some @ multipliers) ** 2).max(0))
+        part = weighed.left[first : first + AT_ONCE].astype(np.float32)
+        noise = np.maximum(noise, ((part @ multipliers) ** 2).max(0))
     strongest = weighed.statistic.max(initial=0.0)
     return float((1 + (noise >= strongest).sum()) / (1 + len(noise))), float(np.quantile(noise, 1 - level))

@@ -1,4 +1,4 @@
-"""How sure the fitted constants are: a covariance that does not trust the noise to be independent."""
+"""Uncertainty of the fitted constants, by a covariance that does not assume independent noise."""
 
 from functools import partial
 from typing import NamedTuple
@@ -21,13 +21,13 @@ from simgap.effects.effect import Constant
 
 Z95 = 1.96
 EDGE = 1e-3
-"""Of a parameter's range: what is nearer to an end of it is at that end."""
+"""Share of a parameter's range: a value nearer than this to an end counts as at that end."""
 
 
 class Spread(NamedTuple):
     """Standard deviations of phi and of the effects' constants (internal), in the order of the fit's groups.
 
-    seen: which parameters the recordings depend on at all, by a finite derivative.
+    seen: which parameters the recordings depend on at all, that is, have a derivative other than zero.
     """
 
     phi: Float[np.ndarray, " p"]
@@ -38,9 +38,10 @@ class Spread(NamedTuple):
 def spread(
     problem: Problem, fit: Fit, nuisance: Float[np.ndarray, "M n s"], starts: Int[np.ndarray, " B"] | None = None
 ) -> Spread:
-    """The larger of the likelihood's own and the sandwich covariance over blocks of rows [White 1982].
+    """The larger standard deviations of the likelihood's own and the sandwich covariance over blocks of rows
+    [White 1982].
 
-    Blocks begin at `starts`, or are short.
+    Blocks begin at `starts`; by default they are short.
     """
     columns = np.concatenate([nuisance, constant_columns(problem, fit.v, fit.groups)])
     _, precision = directions(problem, fit.groups)
@@ -61,16 +62,16 @@ def spread(
 
 
 def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
-    """Parameters that the fit would have left their range with, or nearly, each with a sentence about it."""
-    said = {}
+    """Parameters that the fit puts at an end of their range, or nearly, each with a sentence about it."""
+    sentences = {}
     for p, value in zip(problem.augmented.simulator.parameters, map(float, fit.v.phi), strict=True):
         for end, beyond in ((p.low, "smaller"), (p.high, "larger")):
             if abs(value - end) <= EDGE * (p.high - p.low) and p.low < p.high:
-                said[p.name] = (
+                sentences[p.name] = (
                     f"{p.name} is at the edge of its range ({end:g}{p.unit and f' {p.unit}'}): widen the range if "
                     f"{beyond} values are plausible."
                 )
-    return said
+    return sentences
 
 
 def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, deviations: float = Z95) -> bool:
@@ -87,7 +88,7 @@ def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Sp
 
 
 def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
-    """Whether a constant is at a bound other than zero; behind a support, whether its sum with theta is."""
+    """Whether a constant is at a bound other than zero; in a support, whether its sum with theta is."""
     entry = group.entries[0]
     value = value_of(fit.v, group) + (float(fit.v.theta[entry]) if group.support else 0.0)
     ends = np.array([bound[entry] for bound in problem.augmented.bounds])
@@ -95,43 +96,43 @@ def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
 
 
 def constants(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, gain: float) -> list[dict]:
-    """The physical constants of an effect that gains so many nats, with units and 95 % intervals.
+    """The physical constants of an effect that gains `gain` nats, with units and 95 % intervals.
 
-    They hold what chance leaves open, and what costs no more than `LEAST_SHARE` of the gain: so little may be the
-    difference between a law and the robot, whose constant is not known better than that from any number of rows.
-    Of an effect that changed since a baseline they are of the change: 0.07 s where a delay of 0.03 s became 0.10 s.
+    Intervals cover chance, and values that cost no more than `LEAST_SHARE` of the gain. So small a loss may only
+    reflect misfit between law and robot, which more rows do not remove. For an effect that changed since a baseline,
+    values and intervals are those of the change: 0.07 s where a delay of 0.03 s became 0.10 s.
     """
-    found, deviations = [], _deviations(gain)
+    described, deviations = [], _deviations(gain)
     for constant, group in zip(hypothesis.effect.constants, hypothesis.groups, strict=True):
-        # Where a support is open both act: what holds everywhere and what is added there.
-        before = float(fit.v.theta[group.entries[0]]) if group.support else 0.0
+        # In a support both act: the constant that holds everywhere, and the one added there.
+        base = float(fit.v.theta[group.entries[0]]) if group.support else 0.0
         c = value_of(fit.v, group)
         width = deviations * float(sd.constants[fit.groups.index(group)])
         physical = partial(_physical, problem, hypothesis.sites[0], constant, group)
-        nil = physical(0.0)
-        # A limit, which is infinite where there is none, has no change.
-        offset = nil - physical(before) if hypothesis.twin and not constant.shapes and np.isfinite(nil) else 0.0
-        value, *ends = (physical(before + x) + offset for x in (c, c - width, c + width))
+        at_zero = physical(0.0)
+        # A limit has no change, since it is infinite where there is none.
+        offset = at_zero - physical(base) if hypothesis.twin and not constant.shapes and np.isfinite(at_zero) else 0.0
+        value, *ends = (physical(base + x) + offset for x in (c, c - width, c + width))
         unit = unit_of(problem.augmented, hypothesis, constant)
-        found.append({"name": constant.name, "value": value, "unit": unit, "ci95": sorted(ends)})
-    return found
+        described.append({"name": constant.name, "value": value, "unit": unit, "ci95": sorted(ends)})
+    return described
 
 
 def determined(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, gain: float) -> bool:
-    """Whether the recordings determine the constants of an effect that gains `gain` nats: no interval is empty or the
-    whole range, and no constant is at a bound other than zero."""
+    """Whether the recordings determine the constants of an effect that gains `gain` nats: no interval is empty or
+    covers the whole range, and no constant is at a bound other than zero."""
     low, high = problem.augmented.bounds
     for group in hypothesis.groups:
         c = value_of(fit.v, group)
         width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
-        whole = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
-        if whole or not width > 0 or _at_end(problem, fit, group):
+        undetermined = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
+        if undetermined or not width > 0 or _at_end(problem, fit, group):
             return False
     return True
 
 
 def edges(problem: Problem, fit: Fit, hypothesis: Hypothesis, window: Window) -> list[dict]:
-    """Beginning and end [s] of an effect that acts during a stretch of one session, with 95 % intervals."""
+    """Beginning and end [s] of an effect that acts during a window of one session, with 95 % intervals."""
     everywhere = problem._replace(chunks=problem.chunks._replace(gate=np.ones_like(problem.chunks.gate)))
     bare = evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise)
     evidence = scores(fit, bare.e, trials(everywhere, [fit.v])[0])
@@ -143,11 +144,11 @@ def edges(problem: Problem, fit: Fit, hypothesis: Hypothesis, window: Window) ->
 
 
 def _deviations(gain: float) -> float:
-    """Standard deviations to the ends of an interval, for an effect that gains so many nats."""
+    """Half-width of an interval in standard deviations, for an effect that gains `gain` nats."""
     return float(np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0)))
 
 
 def _physical(problem: Problem, site: int, constant: Constant, group: Group, internal: float) -> float:
-    """The physical value of an internal one, which is kept within its bounds."""
+    """The physical value of an internal one, which is clipped to its bounds."""
     low, high = (float(bound[group.entries[0]]) for bound in problem.augmented.bounds)
     return float(constant.physical(float(np.clip(internal, low, high)), site, problem.scales))

@@ -1,8 +1,8 @@
-"""Laws are not exact: what each effect found may be wrong by, so that its misfit is not credited to a further effect.
+"""Laws are not exact: how wrong each accepted effect may be, so that its misfit is not credited to a further effect.
 
-Around every effect, at each of its sites, stands a flexible law: the effect's own contribution, earlier or later and
-stronger or weaker with what the site does, and pushes along the site's axes that depend on what it does. How far it may
-go is a prior: `DISCREPANCY`, a share of the effect's own contribution.
+Every effect gets a flexible law at each of its sites: the effect's own contribution, earlier or later, and stronger or
+weaker depending on what the site does; and pushes along the site's axes that depend on what it does. A prior limits its
+size: `DISCREPANCY`, a share of the effect's own contribution.
 """
 
 from collections.abc import Sequence
@@ -24,16 +24,19 @@ from simgap.diagnosis.likelihood.student_t import weights
 from simgap.effects.effect import HISTORY_ROWS
 
 LAGS = (-2, -1, 1, 2, 3, 4)
-"""Rows by which an effect's contribution may come late."""
+"""Rows by which an effect's contribution may be delayed."""
 NARROW = (0.02, 0.06, 0.2)
 """Widths about zero, as shares of a quantity's usual size."""
 NOTHING = 1e-9
-"""Squared length of a direction [nats] below which there is none."""
+"""Squared lengths of directions [nats] below this count as zero."""
 
 
 class Room(NamedTuple):
-    """What a model absorbs of a direction, at the roots of the weights: by what is free in it (orthonormal columns),
-    and by the misfit of its effects (columns T such that 1 - T T' takes out what that would)."""
+    """What a model absorbs of a direction, with rows scaled by the roots of their weights.
+
+    free: by its free constants (orthonormal columns). misfit: by the misfit of its effects (columns T such that
+    1 - T T' removes that part).
+    """
 
     root: Float[np.ndarray, "n s"]
     residual: Float[np.ndarray, "n s"]
@@ -42,26 +45,26 @@ class Room(NamedTuple):
 
     @property
     def whole(self) -> Float[np.ndarray, "m r+k"]:
-        """Both."""
+        """The columns of both."""
         return np.concatenate([self.free, self.misfit], axis=1)
 
     def judged(self, tried: Trial) -> Trial:
-        """With the share of its gain that misfit would not explain."""
+        """The trial with the share of its gain that misfit does not explain."""
         if not self.misfit.shape[1]:
             return tried
         d = ((tried.fit.e - tried.without.e) * self.root).ravel()
-        most, beyond = (_gain(d, self.residual.ravel(), basis) for basis in (self.free, self.whole))
-        return tried._replace(share=min(beyond / max(most, NOTHING), 1.0))
+        gained, beyond = (_gain(d, self.residual.ravel(), basis) for basis in (self.free, self.whole))
+        return tried._replace(share=min(beyond / max(gained, NOTHING), 1.0))
 
 
 def _gain(d: Float[np.ndarray, " m"], residual: Float[np.ndarray, " m"], basis: Float[np.ndarray, "m r"]) -> float:
-    """What the residual gains [nats] along a direction beyond what the basis absorbs."""
+    """Gain [nats] of the residual along a direction, beyond what the basis absorbs."""
     d, residual = (a - basis @ (basis.T @ a) for a in (d, residual))
     return 0.5 * float(d @ residual) ** 2 / max(float(d @ d), NOTHING)
 
 
 def room(model: Model, columns: Float[np.ndarray, "M n s"], effects: Sequence[Hypothesis]) -> Room:
-    """Of a model with what is free in it, and its effects."""
+    """The room of a model, given derivatives by its free constants, and its effects."""
     fit = model.fit
     root = np.sqrt(weights(fit.e, fit.noise)).astype(np.float32)
     free = basis_of(columns.reshape(len(columns), root.size) * root.ravel())
@@ -72,38 +75,38 @@ def room(model: Model, columns: Float[np.ndarray, "M n s"], effects: Sequence[Hy
 def relaxations(
     model: Model, effects: Sequence[Hypothesis], root: Float[np.ndarray, "n s"]
 ) -> Float[np.ndarray, "K n s"]:
-    """Directions in which the innovations may deviate from the effects' laws, each by about one."""
+    """Directions in which the innovations may deviate from the effects' laws, with coefficients of about one."""
     problem, fit, _ = model
     layout, counts = problem.augmented.layout, np.asarray(problem.chunks.counts)
     known, z = quantities(layout), values(problem, fit.v)
-    places = [(effect.effect.bends, *each) for effect in effects for each in _alone(problem, effect)]
-    heard = own_echoes(problem, fit.v, {axis for _, _, place in places for axis in place.axes(layout)})
-    found = []
+    places = [(effect.effect.bends, *site) for effect in effects for site in _per_site(problem, effect)]
+    responses = own_echoes(problem, fit.v, {axis for _, _, place in places for axis in place.axes(layout)})
+    blocks = []
     for bends, groups, place in places:
         own = fit.e - trials(problem, [without(fit, groups).v])[0]
-        seen = place.quantities(layout, known, bends)
-        functions = dictionary([known[i] for i in seen], z[counts][:, seen])
-        pushes = [f.of(z[..., seen]) for f in functions] + [p for i in seen for p in _about_zero(z[..., i])]
+        index = place.quantities(layout, known, bends)
+        functions = dictionary([known[i] for i in index], z[counts][:, index])
+        pushes = [f.of(z[..., index]) for f in functions] + [p for i in index for p in _narrow_about_zero(z[..., i])]
         varied = [own * push[counts][:, None].astype(np.float32) for push in pushes]
         if "past" in bends:
-            pushes += _responses(problem, place)
-        directions = [direction(problem, heard[a], pushes) for a in place.axes(layout) if a in heard and pushes]
+            pushes += _past_commands(problem, place)
+        directions = [direction(problem, responses[a], pushes) for a in place.axes(layout) if a in responses and pushes]
         columns = [_shifted(own, rows_of(problem.chunks).session), *([np.stack(varied)] if varied else []), *directions]
-        found.append(_sized(np.concatenate(columns), own, root))
-    return np.concatenate(found).astype(np.float32)
+        blocks.append(_scaled(np.concatenate(columns), own, root))
+    return np.concatenate(blocks).astype(np.float32)
 
 
-def _sized(
+def _scaled(
     columns: Float[np.ndarray, "K n s"], own: Float[np.ndarray, "n s"], root: Float[np.ndarray, "n s"]
 ) -> Float[np.ndarray, "K n s"]:
-    """Such that all together, each with a coefficient of about one, make `DISCREPANCY` of a contribution."""
+    """Columns scaled so that all together, with coefficients of about one, make up `DISCREPANCY` of a contribution."""
     size = np.sqrt(((columns * root) ** 2).sum((1, 2)))
-    most = DISCREPANCY * np.sqrt(((own * root) ** 2).sum() / len(columns))
-    return columns * np.where(size > NOTHING, most / np.maximum(size, NOTHING), 0.0)[:, None, None]
+    length = DISCREPANCY * np.sqrt(((own * root) ** 2).sum() / len(columns))
+    return columns * np.where(size > NOTHING, length / np.maximum(size, NOTHING), 0.0)[:, None, None]
 
 
-def _alone(problem: Problem, effect: Hypothesis) -> list[tuple[tuple[Group, ...], Place]]:
-    """Each site's own share of the constants, and where it is."""
+def _per_site(problem: Problem, effect: Hypothesis) -> list[tuple[tuple[Group, ...], Place]]:
+    """The constants of each site alone, and its place."""
     augmented = problem.augmented
     sites = augmented.sites[augmented.catalogue.index(effect.effect)]
     return [
@@ -112,15 +115,15 @@ def _alone(problem: Problem, effect: Hypothesis) -> list[tuple[tuple[Group, ...]
     ]
 
 
-def _about_zero(values: Float[np.ndarray, "C T-1"]) -> list[Float[np.ndarray, "C T-1"]]:
-    """Functions of a quantity that are narrow about zero, where a law may turn: even, and odd."""
+def _narrow_about_zero(values: Float[np.ndarray, "C T-1"]) -> list[Float[np.ndarray, "C T-1"]]:
+    """Even and odd functions of a quantity that are narrow about zero, where a law may change its form."""
     usual = max(float(np.quantile(np.abs(values), 0.9)), NOTHING)
     even = [np.exp(-np.abs(values) / (share * usual)) for share in NARROW]
     return [*even, *(np.sign(values) * e for e in even)]
 
 
-def _responses(problem: Problem, place: Place) -> list[Float[np.ndarray, "C T-1"]]:
-    """Pushes by the commands of the rows before: whatever the response to them is, it is made of these."""
+def _past_commands(problem: Problem, place: Place) -> list[Float[np.ndarray, "C T-1"]]:
+    """Pushes by the commands of previous rows: any response to the commands is a combination of these."""
     commands, sent = [f.name for f in problem.augmented.layout.schema.command], sent_until(problem.chunks)
     first, end = np.asarray(problem.chunks.past).shape[1], sent.shape[1]
     return [
@@ -131,32 +134,32 @@ def _responses(problem: Problem, place: Place) -> list[Float[np.ndarray, "C T-1"
 
 
 def _shifted(own: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> Float[np.ndarray, "l n s"]:
-    """A contribution some rows earlier and later, within sessions."""
-    found = np.zeros((len(LAGS), *own.shape), own.dtype)
+    """A contribution shifted earlier and later by some rows, within sessions."""
+    shifted = np.zeros((len(LAGS), *own.shape), own.dtype)
     for i, lag in enumerate(LAGS):
         to, of = (slice(lag, None), slice(None, -lag)) if lag > 0 else (slice(None, lag), slice(-lag, None))
-        found[i, to] = np.where((session[to] == session[of])[:, None], own[of], 0.0)
-    return found
+        shifted[i, to] = np.where((session[to] == session[of])[:, None], own[of], 0.0)
+    return shifted
 
 
 def softly(columns: Float[np.ndarray, "K m"], basis: Float[np.ndarray, "m r"]) -> Float[np.ndarray, "m k"]:
-    """Columns T such that 1 - T T' takes out of a direction what the given ones, each with a coefficient of about one,
-    would absorb of it beyond what the basis does."""
+    """Columns T such that 1 - T T' removes from a direction what the given columns, with coefficients of about one,
+    absorb of it beyond the basis."""
     if not len(columns):
         return np.zeros((len(basis), 0), np.float32)
     columns = columns - (columns @ basis) @ basis.T
     squared, axes = np.linalg.eigh((columns @ columns.T).astype(np.float64))
     kept = squared > DEPENDENT * max(squared[-1], NOTHING)
     squared, axes = squared[kept], axes[:, kept]
-    # The part s^2 that a prior of variance one leaves to them; of a square root of 1 - s^2 each side takes one.
+    # A prior of variance one leaves the share s^2 = 1 / (squared + 1) of a product; each of its two factors keeps s.
     taken = np.sqrt(1 - np.sqrt(1 / (squared + 1)))
     return columns.T @ (axes * taken / np.sqrt(squared)).astype(np.float32)
 
 
 def misfits(model: Model, effects: Sequence[Hypothesis]) -> list[float]:
-    """What each of a model's effects would gain in addition [nats] if its law could bend, less what chance gives.
+    """Further gain [nats] of each of a model's effects if its law could bend, minus the gain by chance.
 
-    Bending beyond the law's own size is unlikely by the prior, and gains no more than that allows.
+    The prior makes bending beyond the law's own size unlikely, and limits its gain accordingly.
     """
     columns = absorbing(model)
     return [_misfit(room(model, columns, [effect])) for effect in effects]

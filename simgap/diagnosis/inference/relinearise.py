@@ -1,4 +1,4 @@
-"""Fits of an engine, whose tables hold near the point where they were made: they are made anew where a fit leads."""
+"""Fits of an engine, whose tables hold only near the point where they were made: they are renewed as a fit moves."""
 
 import numpy as np
 
@@ -10,51 +10,51 @@ from simgap.diagnosis.likelihood.problem import NEAR, Fit, Problem, evaluate, va
 from simgap.engines import is_engine
 
 SIZES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-"""Shares of an effect's constants that are tried on an engine itself."""
+"""Factors on an effect's fitted constants that are tried on an engine itself."""
 RENEWALS = 4
-"""How often tables are made anew for one fit, at most."""
+"""How often tables are made for one fit, at most."""
 
 
 def relinearised(problem: Problem, fit: Fit, reach: float = NEAR) -> tuple[Problem, Fit]:
-    """The fit carried on, with tables made anew where it leads, until it stays there; as it is without an engine.
+    """Continue the fit, with new tables where it leads, until it has converged. Without an engine nothing changes.
 
-    reach: how far the parameters may go with one table.
+    reach: how far the parameters may move with one table.
     """
     if not is_engine(problem.augmented.simulator):
         return problem, fit
     for _ in range(RENEWALS):
         chunks = tabulated(problem, fit.v, problem.chunks)
         problem = problem._replace(chunks=chunks, near=np.asarray(fit.v.phi), reach=reach)
-        begun = evaluate(problem, fit.v, fit.groups)
-        if not np.isfinite(begun.loglik):
-            return problem, begun
-        fit, _ = optimise(problem, begun)
-        if fit.loglik - begun.loglik < SETTLED:
+        initial = evaluate(problem, fit.v, fit.groups)
+        if not np.isfinite(initial.loglik):
+            return problem, initial
+        fit, _ = optimise(problem, initial)
+        if fit.loglik - initial.loglik < SETTLED:
             break
     return problem, fit
 
 
 def standing(problem: Problem) -> Problem:
-    """With the parameters held where an engine was tabulated; as it is without an engine."""
+    """The problem with the parameters held where an engine was tabulated; unchanged without an engine."""
     return problem._replace(reach=0.0) if is_engine(problem.augmented.simulator) else problem
 
 
 def carried_on(problem: Problem, tried: Trial, without: Fit) -> tuple[Problem, Trial]:
-    """A hypothesis with tables of its own, and its gain over the model without it."""
+    """Continue a hypothesis' fit with tables of its own. The gain is over the model `without` it."""
     if not is_engine(problem.augmented.simulator):
         return problem, tried
     fit = tried.fit
     if tried.hypothesis.effect.place == "engine":
-        # First with the parameters held: they would make up for a size that is not found yet, and stay there.
+        # First with the parameters held: otherwise they compensate for a wrong size of the effect, and stay there.
         problem, fit = relinearised(problem, _sized(problem, tried), reach=0.0)
     problem, fit = relinearised(problem, fit)
     return problem, Trial.of(tried.hypothesis, fit, without, tried.expected, tried.share)
 
 
 def _sized(problem: Problem, tried: Trial) -> Fit:
-    """The fit with the constants of an engine's own effect at the share of them that the engine itself likes best.
+    """The fit with the constants of an engine's own effect scaled to the size with which the engine itself fits best.
 
-    A limit is far from linear: tables that know it at one size lead to another that is far too tight or too loose.
+    A limit is far from linear: tables made at one size lead to another that is far too tight or too loose.
     """
     engine, groups = itself(problem), tried.hypothesis.groups
     fits = []
@@ -68,10 +68,10 @@ def _sized(problem: Problem, tried: Trial) -> Fit:
 
 
 def itself(problem: Problem) -> Problem:
-    """The problem with an engine itself in the place of its tables."""
+    """The problem with the engine itself in place of its tables."""
     return problem._replace(chunks=problem.chunks._replace(table=None))
 
 
 def fitted(problem: Problem, fit: Fit) -> Model:
-    """A model with the fit and what it is fitted by."""
+    """The model whose fit is continued from `fit` until it has converged."""
     return Model(problem, *optimise(problem, fit))

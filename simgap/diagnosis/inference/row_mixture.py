@@ -1,11 +1,11 @@
-"""Distributions of single rows of innovations: each row follows one of several laws, which one is not observed.
+"""Mixtures for single rows of innovations: each row follows one of several laws; which one is not observed.
 
     p(e_n) = sum_k q_k p_k(e_n)
 
-Every distribution holds plain noise and *wide rows*: rows whose noise is several times wider in all outputs, or in
-those of one body, with no direction. A named law must explain rows better than these do. Its own components are plain
-noise about a shift along given directions, by the whole direction (amplitude 1) or by a normal amplitude; or its noise
-grows with the motion. Fitted by expectation maximisation [Dempster, Laird & Rubin 1977].
+Every mixture contains plain noise and *wide rows*: their noise is several times wider in all outputs, or in those of
+one body, without a direction. A named law must explain rows better than these do. Its own components are plain noise
+about a shift along given directions, with amplitude 1 or a normal amplitude; or its noise grows with the motion. Fitted
+by expectation maximisation [Dempster, Laird & Rubin 1977].
 """
 
 from collections.abc import Callable
@@ -26,16 +26,16 @@ from simgap.diagnosis.inference.row_mixture_em import (
 from simgap.diagnosis.likelihood.student_t import Noise
 
 ITERATIONS = 40
-"""Most steps of expectation maximisation."""
+"""Maximum number of steps of expectation maximisation."""
 CONVERGED = 0.05
-"""Gain [nats] of a step below which it ends."""
+"""Fitting stops when a step gains less than this [nats]."""
 REFITTED = 20
-"""Steps with which shares are fitted anew without a block."""
+"""Steps in which shares are refitted without a block."""
 Z95 = 1.96
 
 
 def of_plain(noise: Noise, groups: tuple[Int[np.ndarray, " g"], ...]) -> Mixture:
-    """Where the fit of a law without shifts begins."""
+    """Starting point of the fit of a law without shifts."""
     wide = len(groups) * len(WIDE)
     shares = np.full(1 + wide, 0.02 / max(wide, 1))
     shares[0] = 1 - shares[1:].sum()
@@ -43,28 +43,28 @@ def of_plain(noise: Noise, groups: tuple[Int[np.ndarray, " g"], ...]) -> Mixture
 
 
 def without_shifts(mixture: Mixture, number: int) -> Mixture:
-    """A mixture whose last components are plain."""
+    """The mixture with the shares of its last `number` components moved to the plain one."""
     shares = mixture.shares[: len(mixture.shares) - number].copy()
     shares[0] += 1 - shares.sum()
     return Mixture(shares, mixture.noise)
 
 
 def with_shifts(mixture: Mixture, shares: Float[np.ndarray, " j"]) -> Mixture:
-    """A mixture with components of these shares besides, at the expense of the others."""
+    """The mixture with further components of these shares, which reduce the others."""
     return mixture._replace(shares=np.concatenate([mixture.shares * (1 - shares.sum()), shares]))
 
 
 def fitted(law: Law, e: Float[np.ndarray, "n s"], start: Mixture) -> tuple[Mixture, Float[np.ndarray, " n"]]:
-    """The likeliest constants, and ln p of every row with them."""
-    mixture, before = start, -np.inf
+    """The most likely constants, and ln p of every row with them."""
+    mixture, previous = start, -np.inf
     if law.everywhere:
         mixture = mixture._replace(shares=without_plain(mixture.shares))
     expected = expectation(law, e, mixture)
     for step in range(ITERATIONS):
-        now = float(expected.density.sum())
-        if now - before < CONVERGED and step >= RENEWED:
+        current = float(expected.density.sum())
+        if current - previous < CONVERGED and step >= RENEWED:
             break
-        before = now
+        previous = current
         mixture = maximisation(law, mixture, expected, step % RENEWED == RENEWED - 1)
         expected = expectation(law, e, mixture)
     return mixture, expected.density
@@ -82,10 +82,10 @@ def interval(
     starts: Int[np.ndarray, " B"],
     constant: Callable[[Mixture], float],
 ) -> list[float]:
-    """95 % interval of a positive constant, a function of the mixture's.
+    """95 % interval of a positive constant, given as a function of the mixture.
 
-    On a log scale, by the larger of the likelihood's own variance and the sandwich over blocks of rows [White 1982],
-    all other constants being free.
+    On a log scale, with all other constants free, by the likelihood's own variance or the sandwich over blocks of rows
+    [White 1982], whichever is larger.
     """
     x = expectation(law, e, mixture)
     kept = np.flatnonzero(mixture.shares * len(e) >= 1)[1:]
@@ -115,15 +115,15 @@ def burst_interval(
     starts: Int[np.ndarray, " B"],
     constant: Callable[[Mixture], float],
 ) -> list[float]:
-    """95 % interval of a positive constant of the shares of bursts, which keep their order.
+    """95 % interval of a positive constant that depends on the shares of bursts, which stay in falling order.
 
-    On a log scale, by the jackknife over blocks of rows: the shares are fitted anew without each [Efron 1981].
+    On a log scale, by the jackknife over blocks of rows: the shares are refitted without each block [Efron 1981].
     """
     number = len(law.shifts)
     chance, size = expectation(law, e, mixture).chance, np.diff(np.append(starts, len(e)))
-    mine = np.column_stack([chance[:, :-number].sum(1), chance[:, -number:]])
+    grouped = np.column_stack([chance[:, :-number].sum(1), chance[:, -number:]])
     at = np.append(mixture.shares[:-number].sum(), mixture.shares[-number:])
-    ratio = mine / np.maximum(at, 1e-12)  # of every component's density to that of the row
+    ratio = grouped / np.maximum(at, 1e-12)  # density of every component over that of the row
     shares, own = np.tile(at, (len(starts), 1)), np.repeat(np.arange(len(starts)), size)
     for _ in range(REFITTED):
         mean = ratio @ shares.T
@@ -137,12 +137,12 @@ def burst_interval(
 
 
 def _on_log_scale(value: float, sd: float) -> list[float]:
-    """95 % interval of a positive value whose logarithm has this standard deviation."""
+    """95 % interval of a positive value, given the standard deviation of its logarithm."""
     return [float(value * np.exp(-Z95 * sd)), float(value * np.exp(Z95 * sd))]
 
 
 def _falling(x: Float[np.ndarray, "B k"]) -> Float[np.ndarray, "B k"]:
-    """The nearest that does not rise, row by row."""
+    """The nearest non-increasing sequence, row by row."""
     return np.stack([isotonic_regression(row, increasing=False).x for row in x])
 
 

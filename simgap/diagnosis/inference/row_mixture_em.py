@@ -10,21 +10,21 @@ from scipy.special import gammaln
 from simgap.diagnosis.likelihood.student_t import DOFS, LEAST, Noise
 
 WIDE = (2.0, 4.0, 8.0)
-"""Times the plain scale that wide rows have."""
+"""Scales of wide rows, relative to the plain one."""
 RENEWED = 4
-"""Steps after which the degrees of freedom are chosen anew."""
+"""Steps between updates of the degrees of freedom."""
 NEWTON = 4
-"""Steps to a row's likeliest amplitude."""
+"""Newton steps to a row's most likely amplitude."""
 NARROWEST = 0.02
-"""Least standard deviation of an amplitude."""
+"""Minimum standard deviation of an amplitude."""
 
 
 class Law(NamedTuple):
-    """What is fitted. groups: outputs that are wide together. shifts: directions along which rows may lie.
+    """The law to fit. groups: outputs that are wide together. shifts: directions along which rows may be shifted.
 
-    bursts: they are the first row of an event, the second ..., so that no share exceeds the one before. free: the
-    amplitude along them is normal about the mixture's mean, else 1. everywhere: no row is plain.
-    moving: how the noise of each output grows (scale times 1 + slope * moving).
+    bursts: shifts are those of the first row of an event, the second ..., so no share exceeds the previous one. free:
+    the amplitude of shifts is normal about the mixture's mean; otherwise it is 1. everywhere: no row is plain. moving:
+    how the noise of each output grows (scale times 1 + slope * moving).
     """
 
     groups: tuple[Int[np.ndarray, " g"], ...]
@@ -36,8 +36,8 @@ class Law(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Fitted constants: shares of the components (plain, wide of each group and width, shifts), noise, amplitude,
-    slope."""
+    """Fitted constants: shares of the components (plain, wide of each group and width, shifts), noise, mean and
+    standard deviation of the amplitude, slope."""
 
     shares: Float[np.ndarray, " k"]
     noise: Noise
@@ -47,11 +47,12 @@ class Mixture(NamedTuple):
 
 
 class _Expected(NamedTuple):
-    """Of the component of every row, given the row and the constants.
+    """Expectations over the component of every row, given the row and the constants.
 
-    density: ln p(e_n). chance [n k]: of its components. spread [s], weight [s]: of the noise's squared scale, summed
-    over rows. by_scale [n s], by_slope, by_sd [n]: derivatives of ln p(e_n) by ln scale, ln slope, ln sd.
-    sd: of the amplitude, updated. parts: of every width and shift, the chance and the squared innovation in scales.
+    density: ln p(e_n). chance [n k]: probability of each component. spread [s], weight [s]: sums over rows whose ratio
+    updates the noise's squared scale. by_scale [n s], by_slope, by_sd [n]: derivatives of ln p(e_n) by ln scale, ln
+    slope, ln sd. sd: updated, of the amplitude. parts: for every width and shift, its probability and the squared
+    innovation in scales.
     """
 
     density: Float[np.ndarray, " n"]
@@ -66,7 +67,7 @@ class _Expected(NamedTuple):
 
 
 def without_plain(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Without a plain component."""
+    """Shares without the plain component."""
     shares = np.append(0.0, shares[1:])
     return shares / shares.sum()
 
@@ -77,12 +78,12 @@ def _log_t(z2: Float[np.ndarray, "n s"], noise: Noise, dof: Float[np.ndarray, " 
 
 
 def _over_columns(x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
-    """Sums over the columns; as a product, which for so few takes a third of the time."""
+    """Sums over the columns, as a matrix product: with so few columns it takes a third of the time."""
     return x @ np.ones(x.shape[1], x.dtype)
 
 
 def _over_rows(x: Float[np.ndarray, "n s"]) -> Float[np.ndarray, " s"]:
-    """Sums in 64 bits."""
+    """Sums over the rows, in 64 bits."""
     return np.ones(len(x)) @ x
 
 
@@ -94,11 +95,11 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
     z = (e / unit).astype(np.float32)
     widths = np.array([1.0, *WIDE], np.float32)
     squares = [(z / w) ** 2 for w in widths]
-    each = [_log_t(z2, noise, dof) - np.log(w) for z2, w in zip(squares, widths, strict=True)]
-    columns = [_over_columns(each[0])]
+    log_density = [_log_t(z2, noise, dof) - np.log(w) for z2, w in zip(squares, widths, strict=True)]
+    columns = [_over_columns(log_density[0])]
     for group in law.groups:
         inside = np.isin(np.arange(s), group).astype(np.float32)
-        columns += [x @ inside + each[0] @ (1 - inside) for x in each[1:]]
+        columns += [x @ inside + log_density[0] @ (1 - inside) for x in log_density[1:]]
     amplitudes = []
     for d in law.shifts:
         d = (d / unit).astype(np.float32)
@@ -108,7 +109,7 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
         if curvature is not None:
             extra = -0.5 * (((a - mixture.mean) / mixture.sd) ** 2 + np.log(mixture.sd**2 * curvature))
         columns.append(_over_columns(_log_t(z2, noise, dof)) + extra)
-        if curvature is not None:  # the amplitude is not known exactly
+        if curvature is not None:  # the variance of the amplitude
             z2 = z2 + d**2 / curvature[:, None]
         squares.append(z2)
         amplitudes.append((a, curvature))
@@ -116,14 +117,14 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
         joint = np.column_stack(columns).astype(np.float64) + np.log(mixture.shares)
     peak = joint.max(1)
     chance = np.exp(joint - peak[:, None])
-    whole = _over_columns(chance)
-    total = peak + np.log(whole)
-    chance /= whole[:, None]
+    normaliser = _over_columns(chance)
+    total = peak + np.log(normaliser)
+    chance /= normaliser[:, None]
     total = total - _over_columns(np.broadcast_to(np.log(width), (n, s)))
-    belong = _belonging(law, chance.astype(np.float32), s)
-    # Of every output: r (u z^2 - 1), with u = (dof + 1) / (dof + z^2).
+    responsibilities = _responsibilities(law, chance.astype(np.float32), s)
+    # For every output: r (u z^2 - 1), with u = (dof + 1) / (dof + z^2).
     weight, by_scale = np.zeros(s), np.full((n, s), -1.0, np.float32)
-    for r, z2 in zip(belong, squares, strict=True):
+    for r, z2 in zip(responsibilities, squares, strict=True):
         u = r * (dof + 1) / (dof + z2)
         weight += _over_rows(u)
         u *= z2
@@ -139,14 +140,14 @@ def expectation(law: Law, e: Float[np.ndarray, "n s"], mixture: Mixture) -> _Exp
         squared = r * ((a - mixture.mean) ** 2 + 1 / curvature)
         sd = max(float(np.sqrt(squared.sum() / max(float(r.sum()), 1e-9))), NARROWEST)
         by_sd = (squared / mixture.sd**2 - r).sum(1)
-    parts = list(zip(belong, squares, strict=True))
+    parts = list(zip(responsibilities, squares, strict=True))
     return _Expected(total, chance, spread, weight, by_scale, by_slope, by_sd, sd, parts)
 
 
 def _amplitudes(
     z: Float[np.ndarray, "n s"], d: Float[np.ndarray, "n s"], dof: Float[np.ndarray, " s"], mixture: Mixture
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The likeliest amplitude of every row along a direction, and the curvature there [Laplace]."""
+    """The most likely amplitude of every row along a direction, and the curvature there [Laplace]."""
     prior = np.float32(1 / mixture.sd**2)
     a, curvature = np.full(len(z), mixture.mean, np.float32), np.full(len(z), prior)
     for _ in range(NEWTON):
@@ -156,8 +157,8 @@ def _amplitudes(
     return a, curvature
 
 
-def _belonging(law: Law, chance: Float[np.ndarray, "n k"], outputs: int) -> list[Float[np.ndarray, "n _"]]:
-    """Of every output and row, the chance of each width, then of each shift."""
+def _responsibilities(law: Law, chance: Float[np.ndarray, "n k"], outputs: int) -> list[Float[np.ndarray, "n _"]]:
+    """For every output and row, the probability of each width, then of each shift."""
     n, wide = len(chance), len(law.groups) * len(WIDE)
     widths: list[np.ndarray] = [np.zeros((n, outputs), np.float32) for _ in WIDE]
     for g, group in enumerate(law.groups):
@@ -177,7 +178,7 @@ def maximisation(law: Law, mixture: Mixture, x: _Expected, renew: bool) -> Mixtu
         first = len(shares) - len(law.shifts)
         shares[first:] = isotonic_regression(shares[first:], increasing=False).x
     if law.moving is not None:
-        # A step of Berndt, Hall, Hall & Hausman [1974] in ln slope, along which the usual noise stays as it is.
+        # A step of Berndt, Hall, Hall & Hausman [1974] in ln slope, with the average noise kept constant.
         grows = law.moving.any(0)
         usual = x.by_scale[:, grows].sum(1, dtype=np.float64)
         along = float(x.by_slope @ usual) / max(float(usual @ usual), 1e-9)
@@ -195,16 +196,16 @@ def _scale(
 
 
 def _dof(noise: Noise, before: Noise, x: _Expected) -> Noise:
-    """The better of each output's degrees of freedom and the next ones down and up, each with a scale of its own."""
+    """Per output, the best of its degrees of freedom and the next lower and higher ones, each with its own scale."""
     at = np.array([int(np.abs(DOFS - d).argmin()) for d in noise.dof])
-    found = [_rescaled(Noise(noise.scale, DOFS[np.clip(at + k, 0, len(DOFS) - 1)]), before, x) for k in (0, -1, 1)]
-    best = np.stack([value for _, value in found]).argmax(0)
-    scale, dof = (np.stack([n[i] for n, _ in found])[best, np.arange(len(at))] for i in (0, 1))
+    candidates = [_rescaled(Noise(noise.scale, DOFS[np.clip(at + k, 0, len(DOFS) - 1)]), before, x) for k in (0, -1, 1)]
+    best = np.stack([value for _, value in candidates]).argmax(0)
+    scale, dof = (np.stack([n[i] for n, _ in candidates])[best, np.arange(len(at))] for i in (0, 1))
     return Noise(scale, dof)
 
 
 def _rescaled(noise: Noise, before: Noise, x: _Expected) -> tuple[Noise, Float[np.ndarray, " s"]]:
-    """With the scale that goes with its degrees of freedom, and the expected log-density."""
+    """Noise with the scale that fits its degrees of freedom, and its expected log-density."""
     dof, scale = noise.dof.astype(np.float32), noise.scale
     for _ in range(2):
         ratio = ((before.scale / scale) ** 2).astype(np.float32)

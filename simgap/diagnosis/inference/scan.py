@@ -1,4 +1,4 @@
-"""The time, stretch or regime in which an effect gains most, from its row-wise scores."""
+"""The onset, window or regime in which an effect gains most, from its row-wise scores."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,11 +10,11 @@ from simgap.diagnosis.likelihood.student_t import weights
 from simgap.effects.regime import EVERYWHERE, Regime
 
 LENGTHS = (8, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
-"""Rows of the stretches that are tried; edges are refined afterwards."""
+"""Lengths [rows] of the windows that are tried; edges are refined afterwards."""
 EDGE = 0.025
-"""Share of the longest session, or of the one at hand, at either end in which no effect is said to begin."""
+"""Share of the longest session, or of the given one, at either end in which no onset is reported."""
 FLIP = 4
-"""Rows that share a sign in the bootstrap of stretches."""
+"""Rows that share a sign in the bootstrap of windows."""
 DRAWS = 100
 CORRELATED = 20
 """Rows whose scores may be dependent."""
@@ -32,50 +32,50 @@ def scores(
 
 
 def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None = None) -> tuple[From | Window, float]:
-    """The best time from which an effect acts, in every session or in one, and what the restriction gains [nats].
+    """The best time from which an effect acts, in every session or in one, and the gain of the restriction [nats].
 
-    In one session it may act all the time.
+    In one session it may act from the start.
     """
     throughout = gain_of(score.sum(), power.sum())
-    mine = np.full(len(score), True) if session is None else rows.session == session
-    latest_first = np.flatnonzero(mine)[np.argsort(-rows.time_s[mine], kind="stable")]
+    in_session = np.full(len(score), True) if session is None else rows.session == session
+    latest_first = np.flatnonzero(in_session)[np.argsort(-rows.time_s[in_session], kind="stable")]
     times = rows.time_s[latest_first]
     s, p = np.cumsum(score[latest_first]), np.cumsum(power[latest_first])
-    more = gain_of(s, p) - throughout
-    # With a row belong all of its time.
+    extra = gain_of(s, p) - throughout
+    # Rows with equal times belong together.
     possible = np.append(times[1:] < times[:-1], session is not None)
     inside = (times > EDGE * times[0]) & (times < (1 - EDGE) * times[0])
     possible[:-1] &= inside[:-1]
-    more = np.where(possible, more, 0.0)
-    best = int(more.argmax())
-    from_s = float(times[best]) if more[best] > 0 else 0.0
-    return From(from_s) if session is None else Window(session, from_s, np.inf), float(more[best])
+    extra = np.where(possible, extra, 0.0)
+    best = int(extra.argmax())
+    from_s = float(times[best]) if extra[best] > 0 else 0.0
+    return From(from_s) if session is None else Window(session, from_s, np.inf), float(extra[best])
 
 
 def stretch(rows: Rows, score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[Window, float]:
-    """The best stretch of at least so many rows of one session, and its gain [nats]."""
+    """The best window of at least `shortest` rows of one session, and its gain [nats]."""
     best, where = 0.0, (0, 0, 0)
     for s in np.unique(rows.session):
-        mine = np.flatnonzero(rows.session == s)
-        gain, start, length = _best_window(score[mine], power[mine], shortest)
+        in_session = np.flatnonzero(rows.session == s)
+        gain, start, length = _best_window(score[in_session], power[in_session], shortest)
         if gain > best:
             best, where = gain, (int(s), start, length)
     s, start, length = where
-    mine = np.flatnonzero(rows.session == s)
-    start, stop = _edges(score[mine], power[mine], start, start + length, shortest)
-    time = rows.time_s[mine]
+    in_session = np.flatnonzero(rows.session == s)
+    start, stop = _edges(score[in_session], power[in_session], start, start + length, shortest)
+    time = rows.time_s[in_session]
     step = np.median(np.diff(time)) if len(time) > 1 else 0.0
-    gain = gain_of(score[mine[start:stop]].sum(), power[mine[start:stop]].sum())
+    gain = gain_of(score[in_session[start:stop]].sum(), power[in_session[start:stop]].sum())
     return Window(s, float(time[start]), float(time[stop - 1] + step)), float(gain)
 
 
 def stretch_by_chance(
     rows: Rows, score: np.ndarray, power: np.ndarray, level: float, rng: np.random.Generator
 ) -> float:
-    """Gain [nats] that the best stretch reaches by chance with probability `level`.
+    """Gain [nats] that the best window reaches by chance with probability `level`.
 
-    The larger of two: what random signs give, extrapolated (the best stretch itself takes no part: if something
-    happened there, it is not chance), and what independent stretches would give, which is ln(number / level).
+    The larger of two: the extrapolated gain with random signs, and that of independent windows, ln(number / level).
+    Random signs leave out the best window itself: if something happened there, it is not chance.
     """
     window, _ = stretch(rows, score, power, PUSH)
     score = elsewhere(rows, window, score)
@@ -83,7 +83,7 @@ def stretch_by_chance(
     for _ in range(DRAWS):
         sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
         best.append(max(_best_window(score[m] * sign[m], power[m], PUSH)[0] for m in _sessions(rows)))
-    # Gains of many stretches have an exponential tail: Gumbel, by its moments.
+    # The best of many gains with exponential tails follows a Gumbel distribution, here fitted by its moments.
     scale = np.std(best) * np.sqrt(6) / np.pi
     drawn = np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level))
     return float(max(drawn, np.log(len(score) * len(LENGTHS) / level)))
@@ -92,31 +92,31 @@ def stretch_by_chance(
 def edges_ci95(
     rows: Rows, window: Window, score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """95 % intervals [s] of the beginning and the end of a stretch of one session, by profile likelihood.
+    """95 % intervals [s] of the beginning and the end of a window of one session, by profile likelihood.
 
-    What an edge loses against the best is below x with probability (1 - exp(-x))^2 where it is the true one, the effect
-    being fitted anew [Hansen 2000, for thresholds]: it is no chi-squared, for an edge moves by whole rows. Scores that
-    vary more than they should, over blocks of rows, count for less. Between two rows an edge may lie anywhere.
+    With the effect refitted, the true edge loses less than x against the best one with probability (1 - exp(-x))^2
+    [Hansen 2000, for thresholds]. This is not chi-squared, because an edge moves by whole rows. Scores with excess
+    variance over blocks of rows count for less. Between two rows an edge may lie anywhere.
     """
-    mine = np.flatnonzero(rows.session == window.session)
-    time, score, power = rows.time_s[mine], score[mine], power[mine]
+    in_session = np.flatnonzero(rows.session == window.session)
+    time, score, power = rows.time_s[in_session], score[in_session], power[in_session]
     step = float(np.median(np.diff(time)))
     start, stop = (int(np.searchsorted(time, t - step / 2)) for t in (window.from_s, window.to_s))
     acts = (np.arange(len(time)) >= start) & (np.arange(len(time)) < stop)
     amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
     about = np.add.reduceat(score - np.where(acts, amplitude * power, 0.0), np.arange(0, len(time), CORRELATED))
-    lost = -np.log(1 - np.sqrt(0.95)) * max(1.0, float((about**2).sum() / max(power.sum(), 1e-9)))
+    tolerance = -np.log(1 - np.sqrt(0.95)) * max(1.0, float((about**2).sum() / max(power.sum(), 1e-9)))
     s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
     starts, stops = np.arange(stop), np.arange(start + 1, len(time) + 1)
-    found = []
+    intervals = []
     for at, gain in (
         (starts, gain_of(s[stop] - s[starts], p[stop] - p[starts])),
         (stops, gain_of(s[stops] - s[start], p[stops] - p[start])),
     ):
-        possible = at[gain > gain.max() - lost]
+        possible = at[gain > gain.max() - tolerance]
         edge = np.append(time, time[-1] + step)[possible]
-        found.append((float(edge.min() - step / 2), float(edge.max() + step / 2)))
-    return found[0], found[1]
+        intervals.append((float(edge.min() - step / 2), float(edge.max() + step / 2)))
+    return intervals[0], intervals[1]
 
 
 def _sessions(rows: Rows) -> list[np.ndarray]:
@@ -140,7 +140,7 @@ def _best_window(score: np.ndarray, power: np.ndarray, shortest: int) -> tuple[f
 
 
 def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int, shortest: int) -> tuple[int, int]:
-    """Move both edges to where the gain is greatest."""
+    """Move both edges to the greatest gain."""
     s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
     for _ in range(3):
         starts = np.arange(0, max(stop - shortest, 0) + 1)
@@ -151,18 +151,18 @@ def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int, shortest
 
 
 FEWEST = 0.04
-"""Share of the rows that a regime, and what lies outside, must have."""
+"""Minimum share of the rows inside a regime, and outside it."""
 SILENT = 4.0
-"""Gain [nats] at most, besides `share` of what the effect gains inside, of an effect of another size outside."""
+"""Maximum gain [nats] of an effect of another size outside a regime, apart from `share` of the gain inside."""
 
 
 def narrowest(
     found: Float[np.ndarray, "n f"], score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"], share: float
 ) -> tuple[Regime, float]:
-    """The regime to which an effect is best restricted, and what the restriction gains [nats]; everywhere, if nothing.
+    """The regime to which an effect is best restricted, and the gain of the restriction [nats]; everywhere, if none.
 
-    `score` and `power` are those of every row (see `when.scores`). Outside, where the effect must be silent, an effect
-    of any other size may gain `SILENT` at most, and `share` of what the effect gains inside.
+    `score` and `power` are those of every row (see `scores`). Outside, the effect must be silent: an effect of any
+    other size may gain at most `SILENT` and `share` of the gain inside.
     """
     best, most = EVERYWHERE, 0.0
     throughout = gain_of(score.sum(), power.sum())
@@ -170,14 +170,14 @@ def narrowest(
         order = np.argsort(column, kind="stable")
         s, p = (np.cumsum(a[order]) for a in (score, power))
         ordered, fewest = column[order], int(np.ceil(FEWEST * len(column)))
-        # Behind which rows an edge may lie: with a value belong all rows that have it.
+        # Rows after which an edge may lie; rows with equal values belong together.
         last = np.flatnonzero(ordered[:-1] < ordered[1:])
         last = last[(last + 1 >= fewest) & (last + 1 <= len(column) - fewest)]
         below, above = gain_of(s[last], p[last]), gain_of(s[-1] - s[last], p[-1] - p[last])
         for side, acting, silent in ((1.0, above, below), (-1.0, below, above)):
-            more = np.where(silent < SILENT + share * acting, acting - throughout, 0.0)
-            if more.max(initial=0.0) > most:
-                i = int(more.argmax())
+            extra = np.where(silent < SILENT + share * acting, acting - throughout, 0.0)
+            if extra.max(initial=0.0) > most:
+                i = int(extra.argmax())
                 edge = float(ordered[last[i]] + ordered[last[i] + 1]) / 2
-                best, most = Regime(k, side, edge), float(more[i])
+                best, most = Regime(k, side, edge), float(extra[i])
     return best, most

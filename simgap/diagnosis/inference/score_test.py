@@ -1,8 +1,8 @@
-"""Which of many hypotheses deserve a fit, and whether the best of them is more than the best of noise.
+"""Score test: which of many hypotheses deserve a fit, and whether the best of them gains more than noise does.
 
 Every hypothesis is a direction in the innovations: the change d that its effect makes at a starting value. What phi,
-gain and the constants at hand can absorb of d is projected out; the rest says how much an effect of this kind could
-gain, and a bootstrap of the current model's scores says how much the best of all directions gains by chance.
+filter gain and the model's constants can absorb of d is projected out. The rest predicts how much the effect could
+gain. A bootstrap of the model's scores gives the null distribution of the best gain of all directions.
 """
 
 from collections.abc import Sequence
@@ -20,24 +20,24 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, side_by_side, tria
 from simgap.diagnosis.likelihood.student_t import weights
 
 PART = 8
-"""Directions that are kept in memory at once."""
+"""Directions kept in memory at once."""
 PROMISING = 5
-"""Hypotheses that are looked at more closely,"""
+"""Hypotheses that are tested at further values."""
 CLOSER = 2
-"""so many times,"""
+"""Rounds of further values."""
 BETWEEN = 3
-"""with so many values between two that were tested."""
+"""Further values between two that were tested."""
 MULTIPLES = (3, 5, 7, 9)
-"""Of the true steps of a staircase, at which it looks right as well: every so many of them coincide."""
+"""Multiples of a staircase's true step that also fit: one in three (five ...) of the true steps coincides."""
 DEPENDENT = 1e-6
-"""Share of the greatest, below which a direction of what the model can absorb is rounding."""
+"""Eigenvalues of a Gram matrix below this share of the greatest are rounding errors."""
 
 
 class Screened(NamedTuple):
-    """A hypothesis at a start: gain expected [nats], and its test statistic (chi-squared with one degree of freedom).
+    """A hypothesis at a start: expected gain [nats] and test statistic (chi-squared with one degree of freedom).
 
-    constant: the one tested; tested: the value it was tested at. power: nats that an effect at that value would gain,
-    so what the recordings could have shown.
+    constant: index of the one tested; tested: its value in the test. power: gain [nats] of an effect of that value, so
+    what the recordings could have shown.
     """
 
     hypothesis: Hypothesis
@@ -50,12 +50,12 @@ class Screened(NamedTuple):
 
     @property
     def as_it_stands(self) -> float:
-        """Gain expected at the start itself [nats], not with the best amplitude along its direction."""
+        """Expected gain [nats] at the start itself, rather than with the best amplitude along its direction."""
         return 2 * np.sqrt(self.gain * self.power) - self.power
 
 
 class _Direction(NamedTuple):
-    """One constant of a hypothesis at its start, the other amplitudes zero."""
+    """One constant of a hypothesis at its start, with the other amplitudes at zero."""
 
     hypothesis: Hypothesis
     values: tuple[float, ...]
@@ -63,14 +63,14 @@ class _Direction(NamedTuple):
 
 
 _Tested = tuple[_Direction, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
-"""A direction with its score and information, row by row."""
+"""A direction with the score and information of every row."""
 
 
 class Screening(NamedTuple):
-    """All hypotheses, best first, what speaks for each, and the chance that noise alone gives as good a best one.
+    """All hypotheses, best first, the evidence for each, and the p-value of the best under noise alone.
 
-    threshold: of the statistic, at `level`. untested: names of the hypotheses with which the simulator leaves the
-    finite numbers, wherever they start.
+    threshold: critical value of the statistic at `LEVEL`. untested: names of the hypotheses with which the simulator
+    diverges from every start.
     """
 
     found: list[Screened]
@@ -81,23 +81,23 @@ class Screening(NamedTuple):
 
 
 def vary(v: Variables, hypothesis: Hypothesis, constants: Sequence[float]) -> Variables:
-    """v with the hypothesis's constants set."""
+    """v with the constants of the hypothesis set."""
     for group, value in zip(hypothesis.groups, constants, strict=True):
         v = with_value(v, group, value)
     return v
 
 
 def _directions(hypotheses: Sequence[Hypothesis]) -> list[_Direction]:
-    """Every constant of every hypothesis at all of its starts, shapes at their start as well."""
-    found = []
+    """Every amplitude of every hypothesis at all of its starts; shapes keep their starting values."""
+    directions = []
     for hypothesis in hypotheses:
         shapes = [c.shapes for c in hypothesis.effect.constants]
         for start in hypothesis.starts:
             for k, shape in enumerate(shapes):
                 if not shape:
                     values = tuple(v if j == k or shapes[j] else 0.0 for j, v in enumerate(start))
-                    found.append(_Direction(hypothesis, values, k))
-    return found
+                    directions.append(_Direction(hypothesis, values, k))
+    return directions
 
 
 def screen(
@@ -107,26 +107,26 @@ def screen(
     hypotheses: Sequence[Hypothesis],
     rng: np.random.Generator,
 ) -> Screening:
-    """Test all hypotheses against the fitted model, at `LEVEL`; `absorbed` as `beyond` gives it."""
+    """Test all hypotheses against the fitted model at `LEVEL`. basis: orthonormal columns of what the model absorbs."""
     w = weights(fit.e, fit.noise).astype(np.float32)
     root = np.sqrt(w).reshape(-1)
-    # At the optimum the residual has no part in what the model can absorb; float32 leaves a trace.
+    # At the optimum the residual is orthogonal to what the model absorbs, but for rounding in float32.
     residual = fit.e.reshape(-1) * root
     residual = residual - basis @ (basis.T @ residual)
     low, _ = problem.augmented.bounds
     starts = blocks(np.asarray(problem.chunks.counts))
 
-    def batch(some: Sequence[_Direction]) -> list[_Tested]:
-        """Scores and powers of directions, but of those whose start explodes."""
-        vs = [vary(fit.v, hypothesis, values) for hypothesis, values, _ in some]
+    def batch(part: Sequence[_Direction]) -> list[_Tested]:
+        """Scores and information of directions, without those whose start diverges."""
+        vs = [vary(fit.v, hypothesis, values) for hypothesis, values, _ in part]
         with np.errstate(over="ignore", invalid="ignore"):
             change = trials(problem, vs) - fit.e
-            d = change.reshape(len(some), -1) * root
-            d = _beyond_twin(problem, fit, some, d, root)
+            d = change.reshape(len(part), -1) * root
+            d = _beyond_twin(problem, fit, part, d, root)
             d = d - (d @ basis) @ basis.T
-            score, power = (a.reshape(len(some), *fit.e.shape).sum(2) for a in (-d * residual, d * d))
+            score, power = (a.reshape(len(part), *fit.e.shape).sum(2) for a in (-d * residual, d * d))
             finite = np.isfinite(power.sum(1))
-        return [(s, score[i], power[i]) for i, s in enumerate(some) if finite[i]]
+        return [(s, score[i], power[i]) for i, s in enumerate(part) if finite[i]]
 
     def tested(directions: Sequence[_Direction]) -> list[_Tested]:
         parts = [directions[first : first + PART] for first in range(0, len(directions), PART)]
@@ -141,20 +141,20 @@ def screen(
 
     results = tested(_directions(hypotheses))
     for _ in range(CLOSER):
-        # Where it stands a strong effect is another direction than near nil, and so is a limit than one a little
-        # further out: what a direction misses of it counts as noise.
+        # The direction of a strong effect differs from that near zero, and that of a limit from that of a slightly
+        # wider one. What a direction misses of the effect counts as noise.
         *_, found = summed(results)
         results += tested([d for starts in _most_promising(found) for d in closer(starts, hypotheses)])
     evidence, weighed, found = summed(results)
     best_first = np.argsort(-weighed.gain, kind="stable")
     evidence = Evidence(*(a[best_first] for a in evidence))
-    known = {s.hypothesis.name for s in found}
-    untested = tuple(c.name for c in hypotheses if c.name not in known)
+    tested_names = {s.hypothesis.name for s in found}
+    untested = tuple(c.name for c in hypotheses if c.name not in tested_names)
     return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, LEVEL, rng), untested)
 
 
 def basis_of(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:
-    """Orthonormal columns that span the rows, from the rows' products: of few long rows, in a tenth of QR's time."""
+    """Orthonormal columns that span the rows, by their Gram matrix: for few long rows in a tenth of QR's time."""
     length = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
     rows = (rows / np.where(length > 0, length, 1.0)).astype(np.float32)
     values, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
@@ -163,8 +163,10 @@ def basis_of(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:
 
 
 def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
-    """What was tested of some hypotheses' constants, those of greatest gain, best first; of jagged laws as many, for
-    what is near such a law's summit but not on it has little of its gain."""
+    """All tests of the hypotheses' constants with the greatest gains, best first; then as many of jagged laws.
+
+    Near its maximum, but not on it, a jagged law has little of its gain.
+    """
     tested: dict[tuple[str, int, bool, int], list[Screened]] = {}
     for s in sorted(found, key=lambda s: -s.gain):
         hypothesis = s.hypothesis
@@ -175,14 +177,14 @@ def _most_promising(found: Sequence[Screened]) -> list[list[Screened]]:
 
 
 def closer(tested: Sequence[Screened], hypotheses: Sequence[Hypothesis]) -> list[_Direction]:
-    """A hypothesis where its best start led to, or between that start and those beside it.
+    """Further directions of a hypothesis: where its best start led to, or between that start and its neighbours.
 
-    Of a jagged law, whose summits are narrow: also at some of its sites alone, whose own starts may lie beside the
-    summit; and where the steps of a staircase that looks right are an odd multiple of the true ones.
+    A jagged law has narrow maxima. So it is also tested at some of its sites alone, whose own starts may miss the
+    maximum, and at odd fractions of its best value, because a staircase also fits with odd multiples of its true step.
     """
     best, k = tested[0], tested[0].constant
     values = sorted({s.start[k] for s in tested})
-    # One value is left as well where the model explodes at all others.
+    # There is also a single value if the model diverges at all others.
     if in_proportion(best.hypothesis, k) or len(values) == 1:
         return [_Direction(best.hypothesis, best.start, k)]
     i = values.index(best.start[k])
@@ -190,46 +192,46 @@ def closer(tested: Sequence[Screened], hypotheses: Sequence[Hypothesis]) -> list
     ratios = [ratios[0], *ratios, ratios[-1]]
     shares = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
     between = [values[i] * ratio**share for ratio in (1 / ratios[i], ratios[i + 1]) for share in shares]
-    there = [best.hypothesis]
+    laws = [best.hypothesis]
     if best.hypothesis.effect.jagged:
-        there += [c for c in hypotheses if _part(c, best.hypothesis)]
+        laws += [c for c in hypotheses if _part(c, best.hypothesis)]
         between += [best.start[k] / n for n in (1, *MULTIPLES)]
-    return [_Direction(c, (*best.start[:k], float(v), *best.start[k + 1 :]), k) for c in there for v in between]
+    return [_Direction(c, (*best.start[:k], float(v), *best.start[k + 1 :]), k) for c in laws for v in between]
 
 
-def _part(hypothesis: Hypothesis, of: Hypothesis) -> bool:
-    """Whether a hypothesis is that of the same law at some of its sites."""
-    alike = hypothesis.effect is of.effect and hypothesis.groups[0].support == of.groups[0].support
-    return alike and bool(hypothesis.twin) == bool(of.twin) and set(hypothesis.sites) < set(of.sites)
+def _part(hypothesis: Hypothesis, whole: Hypothesis) -> bool:
+    """Whether a hypothesis is that of the same law at some of the sites, in the same support."""
+    same_law = hypothesis.effect is whole.effect and hypothesis.groups[0].support == whole.groups[0].support
+    return same_law and bool(hypothesis.twin) == bool(whole.twin) and set(hypothesis.sites) < set(whole.sites)
 
 
 def in_proportion(hypothesis: Hypothesis, k: int) -> bool:
-    """Whether a law is in proportion to its constant, or nearly: one start of it is enough then."""
+    """Whether a law is proportional to its constant, or nearly: then one start is enough."""
     return len({start[k] for start in hypothesis.starts}) == 1
 
 
 def _beyond_twin(
     problem: Problem,
     fit: Fit,
-    some: Sequence[_Direction],
+    directions: Sequence[_Direction],
     d: np.ndarray,
     root: np.ndarray,
 ) -> Float[np.ndarray, "k m"]:
-    """Directions less their part along the same effect acting everywhere, for hypotheses that have such a twin."""
-    have = [i for i, (hypothesis, _, _) in enumerate(some) if hypothesis.twin]
-    if not have:
+    """Directions minus their projection on the twin, the same effect acting everywhere, where there is one."""
+    with_twin = [i for i, (hypothesis, _, _) in enumerate(directions) if hypothesis.twin]
+    if not with_twin:
         return d
-    twins = [vary(fit.v, c._replace(groups=c.twin), values) for c, values, _ in (some[i] for i in have)]
-    t = np.zeros_like(d)
-    t[have] = (trials(problem, twins) - fit.e).reshape(len(have), -1) * root
-    power = (t * t).sum(1, keepdims=True)
-    return d - t * (d * t).sum(1, keepdims=True) / np.maximum(power, NOTHING)
+    twins = [vary(fit.v, h._replace(groups=h.twin), values) for h, values, _ in (directions[i] for i in with_twin)]
+    along_twin = np.zeros_like(d)
+    along_twin[with_twin] = (trials(problem, twins) - fit.e).reshape(len(with_twin), -1) * root
+    power = (along_twin * along_twin).sum(1, keepdims=True)
+    return d - along_twin * (d * along_twin).sum(1, keepdims=True) / np.maximum(power, NOTHING)
 
 
 def _screened(direction: _Direction, evidence: Evidence, weighed: Weighed, i: int) -> Screened:
     hypothesis, values, k = direction
     share = 1.0
-    # A law in proportion to its constant can start where the data would have it.
+    # A law that is proportional to its constant can start at the best amplitude.
     if in_proportion(hypothesis, k) and weighed.gain[i] > 0:
         share = float(np.clip(weighed.amplitude[i], -3, 3))
     start = tuple(v * share if j == k else v for j, v in enumerate(values))

@@ -1,4 +1,4 @@
-"""Which effects explain the recordings: one more at a time, while noise cannot explain what the best of them gains."""
+"""Forward selection of effects: one more at a time, while the best gains more than noise can explain."""
 
 from collections.abc import Sequence
 
@@ -28,15 +28,15 @@ from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate,
 from simgap.diagnosis.likelihood.student_t import log_density
 
 FITTED = 10
-"""Hypotheses that get a first fit in a round, at most,"""
+"""Hypotheses that get a first fit in a round, at most."""
 HOPELESS = 0.1
-"""where they are expected to gain this share of the best gain so far."""
+"""Share of the best gain so far that a hypothesis must be expected to gain to get a first fit."""
 FINALISTS = 4
-"""Those whose fit is carried on,"""
+"""Hypotheses whose fit is continued, at most."""
 CONTENDER = 0.5
-"""and to its end where it gains, or should, this share of what the best gains."""
+"""Share of the best gain that a hypothesis must gain, or be expected to gain, to be fitted to convergence."""
 SHARES = tuple(np.geomspace(1, 0.02, 8))
-"""Of the amplitude that the screening expects, where a fit may start."""
+"""Shares of the amplitude that the screening expects at which a fit may start."""
 
 
 def one_more(
@@ -47,70 +47,71 @@ def one_more(
     found: Sequence[Hypothesis] = (),
     own: Trial | None = None,
 ) -> Round:
-    """Screen all hypotheses, fit the most promising, carry the best of those to the end.
+    """Screen all hypotheses, fit the most promising, and fit the best of those to convergence.
 
-    found: the effects that the model has, around whose laws there is room for misfit. One of the hypotheses may be
-    fitted already: the `own` that holds the place.
+    found: the effects in the model; misfit of their laws is allowed for. own: a hypothesis that is fitted already,
+    because it holds the place that the others compete for.
     """
     problem, fit, _ = model
     taken = {(entry, group.support) for group in fit.groups for entry in group.entries}
     free = [c for c in hypotheses if not taken & {(e, g.support) for g in c.groups for e in g.entries}]
     absorbed = absorbing(model)
-    around = room(model, absorbed, found)
-    screening = screen(problem, fit, around.whole, free, rng)
+    allowance = room(model, absorbed, found)
+    screening = screen(problem, fit, allowance.whole, free, rng)
     report(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
-    fitted = [around.judged(own)] if own else []
+    incumbent = [allowance.judged(own)] if own else []
     if screening.p_value > LEVEL:
-        return Round(screening, fitted)
+        return Round(screening, incumbent)
     held = hold(fit, absorbed)
-    likely = [s for s in promising(screening.found) if s.hypothesis.name not in {t.hypothesis.name for t in fitted}]
+    likely = [s for s in promising(screening.found) if s.hypothesis.name not in {t.hypothesis.name for t in incumbent}]
     tried: list[Trial] = []
-    for some in _at_once(likely):
-        best = max([t.gain for t in (*fitted, *tried)], default=0.0)
-        some = [s for s in some if s.gain >= HOPELESS * best]
-        begun = side_by_side(lambda s: _try(problem, fit, held, s, 3), some)
-        tried += [t for t in begun if np.isfinite(t.gain)]
+    for batch in _at_once(likely):
+        best = max([t.gain for t in (*incumbent, *tried)], default=0.0)
+        batch = [s for s in batch if s.gain >= HOPELESS * best]
+        first_fits = side_by_side(lambda s: _try(problem, fit, held, s, 3), batch)
+        tried += [t for t in first_fits if np.isfinite(t.gain)]
     tried.sort(key=lambda t: -t.promise)
     finalists = side_by_side(lambda t: t.further(lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
     others, tried = tried[FINALISTS:], []
-    for some in _at_once(sorted(finalists, key=lambda t: -t.promise)):
-        best = max(t.gain for t in (*fitted, *finalists, *tried))
-        tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, some)
-    tried = sorted([*fitted, *(around.judged(t) for t in (*tried, *others))], key=lambda t: -t.gain)
+    for batch in _at_once(sorted(finalists, key=lambda t: -t.promise)):
+        best = max(t.gain for t in (*incumbent, *finalists, *tried))
+        tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, batch)
+    tried = sorted([*incumbent, *(allowance.judged(t) for t in (*tried, *others))], key=lambda t: -t.gain)
     report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
     return Round(screening, tried)
 
 
 def _at_once(ordered: Sequence) -> list[Sequence]:
+    """Batches of `THREADS`, in order."""
     return [ordered[first : first + THREADS] for first in range(0, len(ordered), THREADS)]
 
 
 def _contends(t: Trial, best: float) -> bool:
-    """Whether a hypothesis may gain as much as the best; one with basins may stand in a low one as yet."""
+    """Whether a hypothesis may gain as much as the best. One with basins needs less: it may still be in a poor one."""
     return t.promise >= (HOPELESS if t.hypothesis.effect.basins else CONTENDER) * best
 
 
 def _to_its_end(problem: Problem, t: Trial) -> Trial:
-    """Fitted until steps gain next to nothing; where there are basins, from every start beyond where it stands too.
+    """Fit to convergence. An effect with basins is also fitted from every start beyond its current value.
 
-    From these with derivatives at the start itself: those at hand do not lead from there, nor do parameters as fitted
-    in another basin.
+    These fits use derivatives at the start itself. The current derivatives do not lead on from there, nor do parameters
+    that were fitted in another basin.
     """
-    ends = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
+    converged = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
     if t.hypothesis.effect.basins:
         group = t.hypothesis.groups[0]
-        now = value_of(t.fit.v, group)
-        for start in (s for s in t.hypothesis.starts if s[0] > now):
-            begun = evaluate(problem, vary(t.without.v, t.hypothesis, start), t.fit.groups, t.without.noise)
-            if np.isfinite(begun.loglik):
-                ends.append(t.further(lambda _, begun=begun: optimise(problem, begun, settled(t.gain))[0]))
-    return max(ends, key=lambda end: end.gain)
+        current = value_of(t.fit.v, group)
+        for start in (s for s in t.hypothesis.starts if s[0] > current):
+            initial = evaluate(problem, vary(t.without.v, t.hypothesis, start), t.fit.groups, t.without.noise)
+            if np.isfinite(initial.loglik):
+                converged.append(t.further(lambda _, initial=initial: optimise(problem, initial, settled(t.gain))[0]))
+    return max(converged, key=lambda end: end.gain)
 
 
 def promising(found: Sequence[Screened]) -> list[Screened]:
-    """The best two hypotheses of each effect, best first, each where it stands best.
+    """The best two hypotheses of each effect, best first, each at the start that gains most as it stands.
 
-    A limit's best direction may be that of one far too tight, which is nil, and leads nowhere, at any share of itself.
+    The direction that gains most may be that of a limit that is far too tight, which no share of its constant has.
     """
     chosen: list[Screened] = []
     seen: set[tuple[str, bool, str]] = set()
@@ -120,9 +121,9 @@ def promising(found: Sequence[Screened]) -> list[Screened]:
         if s.gain < 2 or name in seen:
             continue
         if sum((c.hypothesis.effect.key, bool(c.hypothesis.twin)) == key for c in chosen) < 2:
-            near = [o for o in found if o.hypothesis is s.hypothesis and o.constant == s.constant]
-            near = [o for o in near if o.gain >= CONTENDER * s.gain]
-            chosen.append(s._replace(start=max(near, key=lambda o: o.as_it_stands).start))
+            starts = [o for o in found if o.hypothesis is s.hypothesis and o.constant == s.constant]
+            starts = [o for o in starts if o.gain >= CONTENDER * s.gain]
+            chosen.append(s._replace(start=max(starts, key=lambda o: o.as_it_stands).start))
             seen.add(name)
         if len(chosen) == FITTED:
             break
@@ -130,29 +131,33 @@ def promising(found: Sequence[Screened]) -> list[Screened]:
 
 
 def _try(problem: Problem, fit: Fit, held: Held, s: Screened, iterations: int) -> Trial:
+    """First fit of a screened hypothesis, and of the model without it: that has its twin, if there is one."""
     v = _highest(problem, fit, s)
     twin = tuple(g for g in s.hypothesis.twin if g not in fit.groups)
-    begun = evaluate(problem, v, (*fit.groups, *twin, *s.hypothesis.groups), fit.noise)
-    done, rest = refine(problem, begun, held, iterations), fit
+    initial = evaluate(problem, v, (*fit.groups, *twin, *s.hypothesis.groups), fit.noise)
+    with_it, without = refine(problem, initial, held, iterations), fit
     if twin:
-        there = vary(fit.v, s.hypothesis._replace(groups=s.hypothesis.twin), s.start)
-        begun = evaluate(problem, there, (*fit.groups, *twin), fit.noise)
-        rest = max(fit, refine(problem, begun, held, iterations + HELD), key=lambda f: f.loglik)
-    return Trial.of(s.hypothesis, done, rest, s.gain)
+        with_twin = vary(fit.v, s.hypothesis._replace(groups=s.hypothesis.twin), s.start)
+        initial = evaluate(problem, with_twin, (*fit.groups, *twin), fit.noise)
+        without = max(fit, refine(problem, initial, held, iterations + HELD), key=lambda f: f.loglik)
+    return Trial.of(s.hypothesis, with_it, without, s.gain)
 
 
 def _highest(problem: Problem, fit: Fit, s: Screened) -> Variables:
-    """The likeliest of several constants: near the start where derivatives lead nowhere, else between nil and there,
-    for what the screening expects of an amplitude may lie beyond the summit."""
+    """The constants with the greatest likelihood among several.
+
+    For jagged laws, whose derivatives lead nowhere, they lie near the start. For others they lie between zero and the
+    start, because the amplitude that the screening expects may be beyond the maximum.
+    """
     constants = s.hypothesis.effect.constants
     if s.hypothesis.effect.jagged:
-        near = [tuple(c * share for c in s.start) for share in np.linspace(0.9, 1.1, 36)]
+        tried = [tuple(c * share for c in s.start) for share in np.linspace(0.9, 1.1, 36)]
     else:
-        near = [
-            tuple(c if of.shapes else c * share for of, c in zip(constants, s.start, strict=True)) for share in SHARES
+        tried = [
+            tuple(c if k.shapes else c * share for k, c in zip(constants, s.start, strict=True)) for share in SHARES
         ]
-    vs = [vary(fit.v, s.hypothesis, constants) for constants in near]
-    logliks = [log_density(one, fit.noise).sum() for one in trials(problem, vs)]
+    vs = [vary(fit.v, s.hypothesis, constants) for constants in tried]
+    logliks = [log_density(e, fit.noise).sum() for e in trials(problem, vs)]
     return vs[int(np.argmax(np.nan_to_num(logliks, nan=-np.inf)))]
 
 
@@ -164,40 +169,40 @@ def search(
     rng: np.random.Generator,
     report: Reporter,
 ) -> Found:
-    """Add effects one by one, each the best of those that are more than noise and that held-out sessions agree to.
+    """Add effects one by one, each the best of those that exceed noise and hold on held-out sessions.
 
-    An engine is searched with its parameters held first: fitted far, where an effect is missing, they hide it. Every
-    gain is over parameters that are fitted.
+    An engine is first searched with its parameters held: fitted while an effect is missing, they go far and hide
+    it. Every gain is over fitted parameters.
     """
-    held = standing(problem)
-    model = decorrelated(held, optimise(held, fit)[0])
-    there, rest = relinearised(model.problem, model.fit)
-    base, chosen, rounds, refitted = rest, [], [], rest.loglik - model.fit.loglik < SETTLED
+    held_problem = standing(problem)
+    model = decorrelated(held_problem, optimise(held_problem, fit)[0])
+    free_problem, without = relinearised(model.problem, model.fit)
+    base, chosen, rounds, refitted = without, [], [], without.loglik - model.fit.loglik < SETTLED
     while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
-        found = one_more(model, hypotheses, rng, report, chosen)
-        required = found.screening.threshold / 2
-        worthy = [t for t in found.tried if t.beyond > max(required, least(model.problem, base, model.fit, t.fit))]
+        current = one_more(model, hypotheses, rng, report, chosen)
+        required = current.screening.threshold / 2
+        eligible = [t for t in current.tried if t.beyond > max(required, least(model.problem, base, model.fit, t.fit))]
         best = None
-        for t in worthy:
-            retabulated, best = carried_on(model.problem, t, rest)
-            gains = best is t or best.beyond > max(required, least(retabulated, base, rest, best.fit))
+        for t in eligible:
+            retabulated, best = carried_on(model.problem, t, without)
+            gains = best is t or best.beyond > max(required, least(retabulated, base, without, best.fit))
             if gains and holds_out(retabulated, best, required):
                 model = decorrelated(retabulated, best.fit)
                 break
-            report(f"{t.hypothesis.name} does not hold on sessions that took no part" if gains else
-                f"{t.hypothesis.name} gains too little over fitted parameters")  # fmt: skip
+            report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions" if gains else
+                f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")  # fmt: skip
             best = None
         refitted, again = True, not refitted
         if best is None and again:
-            model = fitted(there, rest)
+            model = fitted(free_problem, without)
             continue
         if best is None:
-            rounds.append(found)
+            rounds.append(current)
             break
-        # Rivals are compared with what was chosen, the best that holds.
-        tried = [best, *(t for t in found.tried if t.hypothesis is not best.hypothesis)]
-        rounds.append(found._replace(tried=tried, accepted=best.hypothesis.name))
+        # The accepted hypothesis comes first: its rivals are compared with it.
+        tried = [best, *(t for t in current.tried if t.hypothesis is not best.hypothesis)]
+        rounds.append(current._replace(tried=tried, accepted=best.hypothesis.name))
         chosen.append(best.hypothesis)
         report(f"added {best.hypothesis.name} ({best.gain:+.1f} nats)")
-        rest = model.fit
+        without = model.fit
     return Found(base, model, chosen, rounds)

@@ -1,4 +1,4 @@
-"""Shaking at one frequency, as stepping has it: a peak in the spectrum of what the model of the mean leaves over."""
+"""Oscillation at one frequency, as stepping causes: a peak in the spectrum of the innovations."""
 
 from typing import NamedTuple
 
@@ -13,66 +13,68 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_inno
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
 
 SEGMENT = 64
-"""Rows of the periodograms in which stepping is looked for."""
+"""Rows per segment of the periodograms."""
 LEVEL = 1e-3
-"""Chance of a peak as certain where nothing shakes."""
+"""Maximum p-value of a peak, over all frequencies and outputs."""
 POWER = float((np.hanning(SEGMENT) ** 2).sum())
-"""Of the window."""
+"""Power of the Hann window."""
 NO_POWER = 1e-18
 STRONGER = 1.5
-"""Times the amplitude of any in a baseline that shaking must have to be new."""
+"""Factor on the largest amplitude in a baseline that an oscillation must exceed to be new."""
 
 
 class _Pieces(NamedTuple):
-    """Sessions in segments under Hann's window: raw innovations, and commands, each less its mean."""
+    """Sessions in Hann-windowed segments: raw innovations and commands, each minus its mean."""
 
     e: Float[np.ndarray, "S t s"]
     command: Float[np.ndarray, "S t u"]
 
     def power(self) -> Float[np.ndarray, "f s"]:
-        """Summed over segments."""
+        """Power spectrum, summed over segments."""
         return (np.abs(np.fft.rfft(self.e, axis=1)) ** 2).sum(0) / POWER
 
 
 def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) -> NoiseEffect | None:
-    """A peak in the periodogram of an output's innovations, over the level of its neighbours.
+    """A peak in the periodogram of an output's innovations, above the level of its neighbours.
 
-    A robot that steps does so with the force and at the rate that its way asks for: what is new exceeds the strongest
-    peak of the baseline, wherever that lies.
+    The force and rate of a robot's steps depend on its path. So a peak is new only if it exceeds the strongest one of
+    the baseline, at whatever frequency that lies.
     """
     pieces = _pieces(problem, fit)
     power, count = pieces.power(), len(pieces.e)
-    found = _peak(power, count)
-    if found is None:
+    peak = _peak(power, count)
+    if peak is None:
         return None
-    k, best, gain, amplitude, above = found
-    if before is not None and amplitude < STRONGER * _strongest(problem._replace(chunks=before), fit, best):
+    k, best, gain, amplitude, above = peak
+    if before is not None and amplitude < STRONGER * _strongest_amplitude(problem._replace(chunks=before), fit, best):
         return None
-    there = _pieces(problem._replace(chunks=unseen), fit)
-    if not len(there.e):
+    heldout = _pieces(problem._replace(chunks=unseen), fit)
+    if not len(heldout.e):
         return None
-    held = float(_of_line(*_at(there, k, best), above).sum())
-    _, level = _at(pieces, k, best)
+    heldout_gain = float(_line_gain(*_power_at(heldout, k, best), above).sum())
+    _, level = _power_at(pieces, k, best)
     odds = _odds(pieces, k, best, above)
-    if held <= 0 or odds is None:
+    if heldout_gain <= 0 or odds is None:
         return None
     field, hertz = problem.augmented.simulator.schema.outputs[best], 1 / (SEGMENT * problem.scales.time_step)
     line = line_of(pieces.e[:, :, best], k, level)
-    times = 1 / _left_of_wave(problem, fit, best, line.amplitude[0], hertz * line.frequency[0])
+    factor = 1 / _share_in_innovations(problem, fit, best, line.amplitude[0], hertz * line.frequency[0])
     unit = field.unit
     if field.kind != "velocity":
-        times, unit = 2 * np.pi * hertz * line.frequency[0] * times, f"{unit}/s"
+        factor, unit = 2 * np.pi * hertz * line.frequency[0] * factor, f"{unit}/s"
     constants = [
         {"name": name, "value": scale * value, "unit": of, "ci95": [scale * low, scale * high]}
         for name, scale, of, (value, low, high) in
-        (("amplitude", times, unit, line.amplitude), ("frequency", hertz, "Hz", line.frequency))
+        (("amplitude", factor, unit, line.amplitude), ("frequency", hertz, "Hz", line.frequency))
     ]  # fmt: skip
     what, like = ("joint", "") if problem.augmented.layout.jointed else ("body", ", as stepping does")
     amplitude, frequency = (c["value"] for c in constants)
-    said = f"The {what} shakes periodically, at {frequency:.2f} Hz with about {amplitude:.2g} {unit}"
+    sentence = (
+        f"The {what} shakes periodically at {frequency:.2f} Hz, with an amplitude of about {amplitude:.2g} {unit}"
+    )
     shown = Spectrum(power[:, best], level * count, k, count, hertz, field)
     return NoiseEffect(
-        "gait_oscillation", False, constants, (field.name,), f"{said} ({field.name}){like}.", gain, held,
+        "gait_oscillation", False, constants, (field.name,), f"{sentence} ({field.name}){like}.", gain, heldout_gain,
         odds, shown,
     )  # fmt: skip
 
@@ -81,40 +83,42 @@ def _pieces(problem: Problem, fit: Fit) -> _Pieces:
     raw = evaluate(problem._replace(whiten=np.eye(len(problem.whiten))), fit.v, fit.groups, fit.noise).e
     chunks, rows = problem.chunks, rows_of(problem.chunks)
     command = np.asarray(chunks.command)[:, :-1][np.asarray(chunks.counts)]
-    window, both = np.hanning(SEGMENT)[:, None], np.hstack([raw, command])
-    found = [
+    window, series = np.hanning(SEGMENT)[:, None], np.hstack([raw, command])
+    segments = [
         window * (piece - piece.mean(0))
         for s in np.unique(rows.session)
-        for mine in [both[rows.session == s]]
-        for piece in np.split(mine[: len(mine) // SEGMENT * SEGMENT], len(mine) // SEGMENT or 1)
+        for of_session in [series[rows.session == s]]
+        for piece in np.split(of_session[: len(of_session) // SEGMENT * SEGMENT], len(of_session) // SEGMENT or 1)
         if len(piece)
     ]
-    pieces = np.array(found).reshape(len(found), SEGMENT, both.shape[1])
+    pieces = np.array(segments).reshape(len(segments), SEGMENT, series.shape[1])
     return _Pieces(pieces[:, :, : raw.shape[1]], pieces[:, :, raw.shape[1] :])
 
 
-def _at(pieces: _Pieces, k: int, output: int) -> tuple[Float[np.ndarray, " S"], float]:
+def _power_at(pieces: _Pieces, k: int, output: int) -> tuple[Float[np.ndarray, " S"], float]:
     """Power of every segment at a bin, and the level around it."""
-    level = _neighbours(pieces.power()[:, output])[k] / len(pieces.e)
+    level = _level_around(pieces.power()[:, output])[k] / len(pieces.e)
     return np.abs(np.fft.rfft(pieces.e[:, :, output], axis=1)[:, k]) ** 2 / POWER, max(float(level), NO_POWER)
 
 
-def _of_line(power: Float[np.ndarray, " S"], level: float, above: float) -> Float[np.ndarray, " S"]:
-    """Gain of every segment's power, exponentially distributed with so many times the level [Whittle 1953]."""
+def _line_gain(power: Float[np.ndarray, " S"], level: float, above: float) -> Float[np.ndarray, " S"]:
+    """Gain of every segment, if its power is exponential with a mean of `above` times the level [Whittle 1953]."""
     return power / level * (1 - 1 / above) - np.log(above)
 
 
 def _odds(pieces: _Pieces, k: int, output: int, above: float) -> dict[str, float] | None:
-    """Probability of shaking, against the level around and against a response to a command that the model lacks; none
-    where shaking is not the best of these, or a single segment makes it."""
-    power, level = _at(pieces, k, output)
-    density = {"gait_oscillation": _of_line(power, level, above), OTHER: np.zeros(len(power))}
+    """Probability of an oscillation, against the level around and against a response to a command that the model lacks.
+
+    None where the oscillation is not the best of these, or where it rests on a single segment.
+    """
+    power, level = _power_at(pieces, k, output)
+    density = {"gait_oscillation": _line_gain(power, level, above), OTHER: np.zeros(len(power))}
     constants = {"gait_oscillation": 2, OTHER: 0}
     if np.sort(density["gait_oscillation"])[:-1].sum() < REQUIRED:
         return None
     x = np.fft.rfft(pieces.e[:, :, output], axis=1)[:, k]
     for u in np.fft.rfft(pieces.command, axis=1)[:, k].T:
-        # Every segment by the response of the others to this command; what that leaves is at the level.
+        # Predict every segment by the response of the others to this command; the remainder is at the level.
         us, xs = np.abs(u) ** 2, np.conj(u) * x
         response = (xs.sum() - xs) / np.maximum(us.sum() - us, NO_POWER)
         driven = (power - np.abs(x - response * u) ** 2 / POWER) / level
@@ -136,9 +140,9 @@ class Line(NamedTuple):
 
 
 def line_of(pieces: Float[np.ndarray, "S t"], k: int, level: float) -> Line:
-    """A wave near a bin, with a phase of its own in every windowed segment, over noise of a level.
+    """A wave near a bin, with its own phase in every windowed segment, over noise of the given level.
 
-    Frequency: where the summed power is greatest. Intervals: Student's t of what the segments differ by [White 1982].
+    Frequency: where the summed power is greatest. Intervals: Student's t of the spread over segments [White 1982].
     """
     time = np.arange(pieces.shape[1])
     angles = -2j * np.pi * time / len(time)
@@ -160,8 +164,8 @@ def line_of(pieces: Float[np.ndarray, "S t"], k: int, level: float) -> Line:
     return Line((amplitude[0], amplitude[1], amplitude[2]), (f, f - width, f + width))
 
 
-def _left_of_wave(problem: Problem, fit: Fit, output: int, amplitude: float, hertz: float) -> float:
-    """Share of an output's wave that is left in its innovations: some of it is predicted by what is measured of it."""
+def _share_in_innovations(problem: Problem, fit: Fit, output: int, amplitude: float, hertz: float) -> float:
+    """Share of an output's wave that remains in its innovations; its measurements let the filter predict the rest."""
     chunks = problem.chunks
     wave = amplitude * jnp.sin(2 * jnp.pi * hertz * chunks.time_s)
     shaken = problem._replace(chunks=chunks._replace(state=chunks.state.at[..., output].add(wave)))
@@ -169,7 +173,7 @@ def _left_of_wave(problem: Problem, fit: Fit, output: int, amplitude: float, her
     return float(np.sqrt(2 * np.mean(added**2)) / amplitude)
 
 
-def _strongest(problem: Problem, fit: Fit, output: int) -> float:
+def _strongest_amplitude(problem: Problem, fit: Fit, output: int) -> float:
     """Amplitude of an output's strongest peak."""
     pieces = _pieces(problem, fit)
     power, segments = pieces.power(), len(pieces.e)
@@ -177,34 +181,34 @@ def _strongest(problem: Problem, fit: Fit, output: int) -> float:
     return max(_amplitude(power[:, output], segments, k) for k in inside) if segments else 0.0
 
 
-def _neighbours(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
-    """Level around every frequency: the greater of the medians at 3 to 8 bins' distance below and above.
+def _level_around(power: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+    """Level around every frequency: the greater of the medians over the bins 3 to 8 below and 3 to 8 above.
 
-    Of a spectrum that falls steeply, as slow drifts have it, no part is a peak.
+    So a steeply falling spectrum, as of slow drifts, has no peak.
     """
     away = np.arange(3, 9)
     index = np.arange(len(power))[:, None, None] + np.stack([-away, away])
     inside = (index >= 1) & (index < len(power))
     values = np.where(inside, power[np.clip(index, 0, len(power) - 1)], np.nan)
-    # Close to an end of the spectrum there is one side only; below, its lowest bins.
+    # Close to an end of the spectrum one side has no such bins; its outermost bin replaces them.
     values[:, 0, 0] = np.where(inside[:, 0].any(1), values[:, 0, 0], power[1])
     values[:, 1, 0] = np.where(inside[:, 1].any(1), values[:, 1, 0], power[-1])
     return np.nanmedian(values, axis=2).max(1)
 
 
 def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, float, float, float] | None:
-    """(frequency bin, output, gain [nats], amplitude, times the level) of the most certain peak, if it is certain.
+    """(frequency bin, output, gain [nats], amplitude, power over level) of the most significant peak, if there is one.
 
-    A segment's power is exponentially distributed: at the level around, or at so many times that level.
+    A segment's power is exponentially distributed, with the level around as its mean, or a multiple of that level.
     """
     if segments < 3:
         return None
     best = None
     for j in range(power.shape[1]):
-        level = _neighbours(power[:, j]) / segments
+        level = _level_around(power[:, j]) / segments
         ratio = power[:, j] / np.maximum(level, NO_POWER)
         k = 3 + int(ratio[3:-2].argmax())
-        # Of a flat spectrum the ratio is Gamma distributed; the level itself is an estimate, hence half the segments.
+        # In a flat spectrum the ratio is Gamma distributed; the level is itself an estimate, hence half the segments.
         chance = gammaincc(segments / 2, ratio[k] / 2) * power.size
         if chance < LEVEL and (best is None or ratio[k] > best[4] * segments):
             above = float(ratio[k] / segments)
@@ -214,6 +218,6 @@ def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, flo
 
 
 def _amplitude(power: Float[np.ndarray, " f"], segments: int, k: int) -> float:
-    """Of a wave at a bin and those beside it, by its power over the level around it."""
-    level = _neighbours(power)[k]
+    """Amplitude of a wave, from the power above the level around it, at its bin and the two adjacent ones."""
+    level = _level_around(power)[k]
     return float(np.sqrt(4 * (power[k - 1 : k + 2] - level).clip(0).sum() / (segments * SEGMENT)))

@@ -1,4 +1,4 @@
-"""What changed since a baseline: a difference between two sets of sessions, beyond that between sessions of one set."""
+"""Changes since a baseline: differences between two sets of sessions, beyond those between sessions of one set."""
 
 from typing import NamedTuple
 
@@ -19,17 +19,17 @@ from simgap.types import Sessions
 
 
 class _Units(NamedTuple):
-    """What is independent: sessions, or chunks of few. starts: among the rows that count. sure: standard deviations
-    that a difference between the two sets must have."""
+    """Independent units: sessions, or segments where there are few. starts: of units, among the rows that count. sure:
+    standard deviations by which the two sets must differ."""
 
     starts: Int[np.ndarray, " U"]
     sure: float
 
 
 def differs(problem: Problem, tried: Trial, baseline: int) -> bool:
-    """Whether an effect is another one since, however it varies from session to session before and after.
+    """Whether an effect changed since the baseline by more than it varies between sessions before and after.
 
-    What varies so, for physics that has no name or none yet, differs between any two sets of sessions.
+    Physics that is unnamed, or not found yet, makes constants vary so; they then differ between any two sets.
     """
     units = _units(problem.chunks, baseline)
     sd = spread(problem, tried.fit, nuisance_columns(problem, tried.fit.v), units.starts)
@@ -37,7 +37,7 @@ def differs(problem: Problem, tried: Trial, baseline: int) -> bool:
 
 
 def _units(chunks: Chunks, baseline: int) -> _Units:
-    """Of the two sets: the first so many sessions, and the others."""
+    """Units of the two sets: the first `baseline` sessions, and the others."""
     length, session = np.asarray(chunks.counts).sum(1), np.asarray(chunks.session)
     unit = np.where(length > 0, session, -1)
     if _fewest(unit, session < baseline) < LEAST_SESSIONS:
@@ -48,40 +48,43 @@ def _units(chunks: Chunks, baseline: int) -> _Units:
 
 
 def _fewest(unit: Int[np.ndarray, " C"], before: Bool[np.ndarray, " C"]) -> int:
-    """Number of units on the side that has fewer."""
+    """Number of units in the smaller set."""
     return min(len(np.unique(unit[side & (unit >= 0)])) for side in (before, ~before))
 
 
 def whiteness_since(problem: Problem, fit: Fit, baseline: int) -> Whiteness:
-    """What is left over, row for row, more than in the first so many sessions.
+    """What is predictable in the innovations, per row, beyond that in the first `baseline` sessions.
 
-    A robot leaves a good deal over that no word of the vocabulary explains: no change, where it always has.
+    A robot's innovations are always predictable to a degree that no effect of the vocabulary explains. That is no
+    change.
     """
-    found, since = whiteness(problem, fit), rows_of(problem.chunks).session >= baseline
-    gained, units = by_row(fit, found), _units(problem.chunks, baseline)
+    overall, since = whiteness(problem, fit), rows_of(problem.chunks).session >= baseline
+    gained, units = by_row(fit, overall), _units(problem.chunks, baseline)
 
     def mean(rows: Bool[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
-        """Of some rows, with its variance over units."""
+        """Mean over some rows, and its variance over units."""
         mean = gained[rows].mean(0)
         about = np.where(rows[:, None], gained - mean, 0.0)
         return mean, (np.add.reduceat(about, units.starts) ** 2).sum(0) / rows.sum() ** 2
 
     (now, its), (before, theirs) = mean(since), mean(~since)
-    more = now - before
-    sure = more > units.sure * np.sqrt(its + theirs)
-    part = np.where(sure, more / np.maximum(now, 1e-12), 0.0)
-    return Whiteness(np.where(sure, more, 0.0) * since.sum(), part * found.share, part * found.predicted)
+    increase = now - before
+    sure = increase > units.sure * np.sqrt(its + theirs)
+    part = np.where(sure, increase / np.maximum(now, 1e-12), 0.0)
+    return Whiteness(np.where(sure, increase, 0.0) * since.sum(), part * overall.share, part * overall.predicted)
 
 
 def whiteness_of(problem: Problem, fit: Fit, baseline: int) -> Whiteness:
-    """What a fit leaves over, since the baseline of so many sessions where there is one."""
+    """What is predictable in the innovations of a fit: since the baseline, if there is one."""
     return whiteness_since(problem, fit, baseline) if baseline else whiteness(problem, fit)
 
 
 def noise_effects_since(model: Model, sessions: Sessions, unseen: Chunks) -> list[NoiseEffect]:
-    """Effects on the scatter that the baseline does not have as well."""
+    """Effects on the noise that the baseline does not show."""
     problem, fit, _ = model
     time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
-    after, before = (cut(some, time_step, least) for some in (sessions.training, sessions.baseline))
-    at = problem._replace(chunks=after)
-    return noise_effects(at, evaluate(at, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate))
+    after, before = (cut(recordings, time_step, least) for recordings in (sessions.training, sessions.baseline))
+    current = problem._replace(chunks=after)
+    return noise_effects(
+        current, evaluate(current, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate)
+    )

@@ -1,7 +1,7 @@
-"""What a model leaves over: how far its innovations can be predicted from those before them.
+"""Whiteness: how far a model's innovations can be predicted from earlier ones.
 
-A model that lacks nothing has white innovations, whatever the noise: none says anything of the next. What can be
-predicted is physics without a name, however it comes about, and the measure of what the names explain.
+A complete model has white innovations, whatever the noise: none predicts the next. What can be predicted is unnamed
+physics, whatever its cause. It is the reference for what the named effects explain.
 """
 
 from typing import NamedTuple
@@ -15,23 +15,23 @@ from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.layout import Layout
 
 LAGS = 8
-"""Rows of past innovations to predict the next from."""
+"""Rows of past innovations that predict the next."""
 RIDGE = 5.0
 FOLDS = 4
 LEAST_SHARE = 0.02
-"""Share of an output's squared innovations below which what can be predicted counts as nothing."""
+"""Predictable shares of an output's squared innovations below this count as zero."""
 LEAST_NATS = 10.0
-"""What must be gained beyond what is gained by chance."""
+"""Minimum gain [nats] beyond the gain by chance."""
 DRAWS = 20
-"""Innovations with random signs, which nothing can predict, to see what is gained by chance."""
+"""Draws of innovations with random signs, which are unpredictable: they give the gain by chance."""
 TOUCHED = 0.05
-"""Share of an effect's gain from which on it is said to improve an output."""
+"""An effect improves an output if it gains more than this share of its total gain there."""
 
 
 class Whiteness(NamedTuple):
-    """Per decorrelated output, cross-validated, zero where it may be chance.
+    """Predictability of every decorrelated output, cross-validated; zero where it may be chance.
 
-    nats: gained by predicting. share: of the squared innovations that is predicted. predicted: the part of every
+    nats: gain by predicting. share: predicted share of the squared innovations. predicted: predicted part of every
     innovation.
     """
 
@@ -53,15 +53,15 @@ def whiteness(problem: Problem, fit: Fit) -> Whiteness:
 
 
 def by_row(fit: Fit, found: Whiteness) -> Float[np.ndarray, "n s"]:
-    """What each row has of the log-likelihood that predicting gains."""
+    """Each row's part of the log-likelihood gained by predicting [nats]."""
     y = np.clip(fit.e / fit.noise.scale, -3, 3)
-    rest = y - found.predicted / fit.noise.scale
-    before, after = (np.maximum((a**2).mean(0), 1e-12) for a in (y, rest))
-    return 0.5 * (y**2 / before - rest**2 / after + np.log(before / after))
+    residual = y - found.predicted / fit.noise.scale
+    before, after = (np.maximum((a**2).mean(0), 1e-12) for a in (y, residual))
+    return 0.5 * (y**2 / before - residual**2 / after + np.log(before / after))
 
 
 def _gained(y: Float[np.ndarray, "n s"], predicted: Float[np.ndarray, "n s"]) -> tuple[np.ndarray, np.ndarray]:
-    """Log-likelihood gained [nats], and share of the squares predicted, per column."""
+    """Gain in log-likelihood [nats], and predicted share of the squares, per column."""
     share = 1 - ((y - predicted) ** 2).sum(0) / np.maximum((y**2).sum(0), 1e-12)
     return -0.5 * len(y) * np.log(np.clip(1 - share, 1e-6, None)), share
 
@@ -83,21 +83,21 @@ def _predicted(y: Float[np.ndarray, "n s"], session: Int[np.ndarray, " n"]) -> F
 
 
 def touched(layout: Layout, fit: Fit, without: Fit) -> Bool[np.ndarray, " s"]:
-    """The outputs that an effect improves; `without` is the fit that lacks it. A position and its velocity are one."""
-    more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
-    improved = more > TOUCHED * max(float(more.sum()), 0.0)
+    """The outputs that an effect improves; `without` is the fit without it. A position and its velocity are one."""
+    gained = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
+    improved = gained > TOUCHED * max(float(gained.sum()), 0.0)
     velocity = layout.integrates[layout.observed]
-    (moved,) = np.nonzero((velocity >= 0) & (velocity < len(velocity)))  # a velocity may be no output
+    (moved,) = np.nonzero((velocity >= 0) & (velocity < len(velocity)))  # some velocities are not outputs
     either = improved[moved] | improved[velocity[moved]]
     improved[moved], improved[velocity[moved]] = either, either
     return improved
 
 
 def named_share(layout: Layout, fit: Fit, without: Fit, nameless: Float[np.ndarray, " s"]) -> float:
-    """Of what there is to explain in the outputs that an effect improves, the share that the effect explains.
+    """Share that an effect explains of what there is to explain in the outputs that it improves.
 
-    `without` is the fit that lacks the effect; with it there is nameless gain [nats] in every output.
+    `without` is the fit without the effect; `nameless` is the unnamed gain [nats] that remains with it in every output.
     """
-    more = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
-    gained = max(float(more.sum()), 0.0)
+    by_output = log_density(fit.e, fit.noise).sum(0) - log_density(without.e, without.noise).sum(0)
+    gained = max(float(by_output.sum()), 0.0)
     return gained / max(gained + float(nameless[touched(layout, fit, without)].sum()), 1e-9)

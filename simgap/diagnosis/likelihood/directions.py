@@ -1,4 +1,4 @@
-"""What is free in a fit: parameters, filter gain and effects' constants, with their units, bounds and prior."""
+"""Free variables of a fit: parameters, filter gain and effects' constants, with their units, bounds and prior."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,15 +10,16 @@ from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Group, Problem, replaced, value_of, with_value
 
 TRUST = (0.0, 1.0)
-"""Bounds of K's diagonal: the share of an innovation that a measured output is trusted with."""
+"""Bounds of K's diagonal: the share of an innovation by which the state estimate is corrected."""
 CROSS = 3.0
-"""Bound of K's other entries, in units of the time step."""
+"""Bound of K's off-diagonal entries, in units of the time step."""
 PRIOR_PRECISION = 1.0
-"""Of the simulator's parameters, in units of their ranges: a range is one standard deviation, hence hardly a prior."""
+"""Prior precision of the simulator's parameters, in units of their ranges: one range is one standard deviation, so the
+prior is weak."""
 
 
 def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Float[np.ndarray, " M"]]:
-    """Unit directions of all that is free (phi by ranges, K, constants by scales), and the precision of their prior."""
+    """Unit directions of all free variables (phi in ranges, K, constants in scales), and their prior precision."""
     layout = problem.augmented.layout
     p, s, size = len(problem.augmented.simulator.parameters), len(layout.observed), len(problem.augmented.slots)
     c = len(layout.akin)
@@ -32,30 +33,30 @@ def directions(problem: Problem, groups: Sequence[Group]) -> tuple[Variables, Fl
         base = theta if group.support == 0 else delta[:, group.support - 1]
         base[p + s + c + k, list(group.entries)] = group.scale
     precision = [(p, PRIOR_PRECISION), (s, 0.1), (c, 1.0), (len(groups), 1e-8)]
-    return Variables(phi, gain, cross, theta, delta), np.concatenate([np.full(n, each) for n, each in precision])
+    return Variables(phi, gain, cross, theta, delta), np.concatenate([np.full(n, value) for n, value in precision])
 
 
 def spans(problem: Problem) -> Float[np.ndarray, " p"]:
-    """Widths of the parameters' ranges: their units in fits and derivatives."""
+    """Widths of the parameters' ranges, which are their units in fits and derivatives."""
     return np.array([q.high - q.low or 1.0 for q in problem.augmented.simulator.parameters])
 
 
 def bounds_of(problem: Problem, v: Variables, group: Group) -> tuple[float, float]:
-    """Bounds of a constant; behind a support of its sum with theta, and at least as wide as to hold its value in v."""
+    """Bounds of a constant. In a support, they bound its sum with theta and are widened to include its value in v."""
     (low, high), value = _bounds(problem, v.theta, group), value_of(v, group)
     return (min(low, value), max(high, value)) if group.support else (low, high)
 
 
 def _bounds(problem: Problem, theta: Float[np.ndarray, " P"], group: Group) -> tuple[float, float]:
-    """Bounds of a constant; behind a support those that keep its sum with theta, which acts everywhere, in bounds."""
+    """Bounds of a constant. In a support, they keep its sum with theta, which acts everywhere, in bounds."""
     entries = list(group.entries)
-    here = np.asarray(theta)[entries] if group.support else 0.0
-    low, high = (bound[entries] - here for bound in problem.augmented.bounds)
+    everywhere = np.asarray(theta)[entries] if group.support else 0.0
+    low, high = (bound[entries] - everywhere for bound in problem.augmented.bounds)
     return float(low.max()), float(high.min())
 
 
 def _ranges(problem: Problem) -> tuple[Any, Any]:
-    """Least and greatest values that the parameters may have."""
+    """Lower and upper limits of the parameters."""
     low, high = problem.augmented.ranges if problem.ranges_hold else (-np.inf, np.inf)
     if problem.near is None:
         return low, high
@@ -65,7 +66,7 @@ def _ranges(problem: Problem) -> tuple[Any, Any]:
 def room_to_move(
     problem: Problem, v: Variables, groups: Sequence[Group]
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
-    """How far each free direction can be gone from v, down and up."""
+    """Largest steps from v along each free direction, down (at most 0) and up (at least 0)."""
     (low, high), units = _ranges(problem), spans(problem)
     down = [(low - v.phi) / units, TRUST[0] - v.gain, -CROSS - v.cross]
     up = [(high - v.phi) / units, TRUST[1] - v.gain, CROSS - v.cross]
@@ -77,13 +78,13 @@ def room_to_move(
 
 
 def step_from(problem: Problem, v: Variables, groups: Sequence[Group], delta: np.ndarray) -> Variables:
-    """v + delta along the free directions, kept within the bounds where it is rounded."""
+    """v + delta along the free directions, clipped to the bounds against rounding errors."""
     free, _ = directions(problem, groups)
     step = delta.astype(np.float32)
     moved = Variables(*(a + (step @ b.reshape(len(b), -1)).reshape(a.shape) for a, b in zip(v, free, strict=True)))
     low, high = problem.augmented.bounds
-    own = [i for g in groups if g.support == 0 for i in g.entries]
-    theta = replaced(moved.theta, own, np.clip(moved.theta[own], low[own], high[own]))
+    entries = [i for g in groups if g.support == 0 for i in g.entries]
+    theta = replaced(moved.theta, entries, np.clip(moved.theta[entries], low[entries], high[entries]))
     phi = np.clip(moved.phi, *_ranges(problem))
     moved = Variables(phi, np.clip(moved.gain, *TRUST), np.clip(moved.cross, -CROSS, CROSS), theta, moved.delta)
     for group in (g for g in groups if g.support):
@@ -92,7 +93,7 @@ def step_from(problem: Problem, v: Variables, groups: Sequence[Group], delta: np
 
 
 def prior_offset(problem: Problem, v: Variables, groups: Sequence[Group]) -> np.ndarray:
-    """Where v stands from the prior's centre, along the free directions."""
+    """Offset of v from the prior's centre, along the free directions."""
     parameters = problem.augmented.simulator.parameters
     middle = np.array([(p.low + p.high) / 2 for p in parameters])
     return np.concatenate(

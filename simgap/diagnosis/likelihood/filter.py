@@ -1,15 +1,15 @@
 """Innovations: measurements minus their one-step predictions [Ljung 1999, prediction-error methods].
 
-The state is measured with noise, so a regression on measured states is biased where nothing is missing. Here the
-estimate x of the state is carried by the simulator and corrected by each measurement y only as far as it deserves:
+The state is measured with noise, so a regression on measured states is biased even if no physics is missing. Here the
+simulator propagates an estimate x of the state, and each measurement y corrects it by a gain K:
 
     e_t = y_t - h(f(x_{t-1}, u_{t-1}))        x_t = f(x_{t-1}, u_{t-1}) + K e_t
 
-with a gain K, fitted together with everything else. As in a Kalman filter it has entries across outputs: a jolt of the
-base moves the hand as well, and a position informs about its velocity. With a diagonal gain, innovations would be
-predictable where nothing is missing. K is constant in the bodies' own frames.
+K is fitted together with everything else. As in a Kalman filter it has off-diagonal entries: a jolt of the base moves
+the hand as well, and a position informs about its velocity. With a diagonal gain, innovations would be predictable even
+if no physics is missing. K is constant in the bodies' own frames.
 
-A state that recordings lack has no innovation; the others correct it by the gain's entries across outputs.
+An unmeasured state has no innovation; the others correct it through the off-diagonal entries.
 """
 
 from collections.abc import Sequence
@@ -31,9 +31,11 @@ from simgap.layout import Layout
 
 
 class Variables(NamedTuple):
-    """All that can be fitted: simulator parameters phi, the gain K's diagonal, its entries beside that
-    (`Layout.akin`), effects' constants, and by how much these differ where each
-    of S supports is open."""
+    """All that can be fitted.
+
+    phi: simulator parameters. gain: diagonal of K. cross: its off-diagonal entries (`Layout.akin`). theta: effects'
+    constants. delta: how much these differ where each of S supports is open.
+    """
 
     phi: Float[np.ndarray, " p"]
     gain: Float[np.ndarray, " s"]
@@ -43,14 +45,17 @@ class Variables(NamedTuple):
 
 
 def innovation(augmented: Augmented, y: Float[Array, "... s"], seen: Float[Array, "... s"]) -> Float[Array, "... s"]:
-    """Measured less predicted; zero for states that are not measured."""
+    """Measurement minus prediction; zero for states that are not measured."""
     e, observed = wrapped(augmented.layout, y - seen), augmented.layout.observed
     return e if observed.all() else jnp.where(observed, e, 0.0)
 
 
 def gain_matrix(augmented: Augmented, v: Variables) -> Float[Array, "s s"]:
-    """K, in the bodies' own frames. Entries beside its diagonal are fitted in units of the time step, so that all are
-    of order one: what a millimetre tells of a velocity is a millimetre in a time step."""
+    """K, in the bodies' own frames.
+
+    Off-diagonal entries are fitted in units of the time step, so that all are of order one: an innovation of one
+    millimetre corrects a velocity by the order of one millimetre per time step.
+    """
     layout = augmented.layout
     rate = np.array([f.kind == "velocity" for f in layout.schema.state], float)
     i, j = np.array(layout.akin, int).reshape(-1, 2).T
@@ -66,18 +71,18 @@ def corrected(
 
 
 def acting(v: Variables, theta: Theta, gate: Sequence[Float[Array, ""]] | Float[Array, " S"]) -> Theta:
-    """The constants of a row: theta + sum_s gate_s delta_s."""
+    """Constants in one row: theta + sum_s gate_s delta_s."""
     for s in range(len(v.delta)):
         theta = theta + gate[s] * v.delta[s]
     return theta
 
 
-def _chunk(
+def _filter_segment(
     augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, other: Theta | None = None
 ) -> tuple[Float[Array, "T-1 s"], Float[Array, "T-1 o"]]:
-    """Of one chunk (without its leading axis C), the estimates that its steps begin with, and its innovations.
+    """State estimates at the beginning of the steps, and innovations, of one segment (without its leading axis C).
 
-    With `other` constants, each innovation is what it would be, had that step alone been taken with these.
+    With `other` constants, each innovation is that of its own step taken with these, and all earlier steps with v's.
     """
     K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
     at_start = acting(v, v.theta, chunk.gate[:, 0])
@@ -98,7 +103,7 @@ def _chunk(
             after, predicted, e = step(v.theta)
             reported = e
         else:
-            # A loop over the two, so that the step is compiled once.
+            # Map over both sets of constants, so that the step is compiled once.
             afters, predictions, innovations = jax.lax.map(step, jnp.stack([v.theta, other]))
             after, predicted, e = jax.tree.map(lambda a: a[0], (afters, predictions, innovations))
             reported = innovations[1]
@@ -114,17 +119,17 @@ def _chunk(
 def filtered(
     augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks
 ) -> tuple[Float[Array, "C T-1 s"], Float[Array, "C T-1 o"]]:
-    """The estimates that the steps begin with, and the innovations of the observed outputs in their units.
+    """State estimates at the beginning of the steps, and innovations of the observed outputs in their units.
 
-    Of all rows, those that do not count as well.
+    Of all rows, including those that are not scored.
     """
     active = augmented.active(v.theta, *v.delta)
-    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk))(bare(chunks))
+    return jax.vmap(lambda chunk: _filter_segment(augmented, scales, v, active, chunk))(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
 def sent_of(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 parts u"]:
-    """Of an engine's rows, the commands that act in their parts."""
+    """Commands that act in each part of an engine's rows."""
     active = augmented.active(v.theta, *v.delta)
 
     def one(chunk: Chunks) -> Float[Array, "T-1 parts u"]:
@@ -145,9 +150,9 @@ def sent_of(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[Array, 
 
 @partial(jax.jit, static_argnames="augmented")
 def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 o"]:
-    """What each innovation would be, had its step alone been taken with other constants than those before it."""
+    """Innovations, each with its own step taken with constants `theta` and all earlier steps with those of v."""
     active = augmented.active(v.theta, *v.delta, theta)
-    return jax.vmap(lambda chunk: _chunk(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
+    return jax.vmap(lambda chunk: _filter_segment(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
 
 
 @partial(jax.jit, static_argnames="augmented")
@@ -158,12 +163,12 @@ def tangents(
     directions: tuple[Float[Array, "M p"], Float[Array, "M s"], Float[Array, "M c"]],
     chunks: Chunks,
 ) -> Float[Array, "M C T-1 o"]:
-    """Derivatives of the innovations along M directions in phi and K (its diagonal, its other entries)."""
+    """Derivatives of the innovations along M directions in phi and K (its diagonal, its off-diagonal entries)."""
     active, counts = augmented.active(v.theta, *v.delta), chunks.counts[..., None]
 
     def at(phi: Float[Array, " p"], gain: Float[Array, " s"], cross: Float[Array, " c"]) -> Float[Array, "C T-1 o"]:
         moved = v._replace(phi=phi, gain=gain, cross=cross)
-        _, e = jax.vmap(lambda chunk: _chunk(augmented, scales, moved, active, chunk))(bare(chunks))
+        _, e = jax.vmap(lambda chunk: _filter_segment(augmented, scales, moved, active, chunk))(bare(chunks))
         return jnp.where(counts, e, 0.0)
 
     return jax.vmap(lambda *along: jax.jvp(at, (v.phi, v.gain, v.cross), along)[1])(*directions)

@@ -1,4 +1,4 @@
-"""Segments with tables of an engine, made where a filter with some variables comes along."""
+"""Segments with tables of an engine, computed along the filter's estimates."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from simgap.simulators.tables import Points, tabulate
 
 
 def tabulated(problem: Problem, v: Variables, chunks: Chunks) -> Chunks:
-    """Segments with what an engine does near the filter's estimates; as they are, where the simulator is no engine."""
+    """Segments with tables of the engine near the filter's estimates; unchanged if the simulator is no engine."""
     augmented = problem.augmented
     if not is_engine(augmented.simulator):
         return chunks
@@ -22,12 +22,12 @@ def tabulated(problem: Problem, v: Variables, chunks: Chunks) -> Chunks:
     gates = jnp.swapaxes(chunks.gate[..., :-1], 1, 2)
     terms = jax.vmap(jax.vmap(lambda gate: terms_of(augmented, acting(v, v.theta, gate))))(gates)
     assert terms is not None  # an engine has them
-    # Where the filter left the finite numbers, what was measured is the best there is.
+    # Where an estimate is not finite, use the measured state.
     x = np.where(np.isfinite(state), np.asarray(state), np.asarray(chunks.state)[:, :-1])
-    scored = np.asarray(chunks.counts).any(1)  # the others fill the number of segments up
-    at = [np.asarray(a)[scored] for a in (terms, x, command)]
-    table = tabulate(augmented.simulator, Points(np.asarray(v.phi), *(a.reshape(-1, *a.shape[2:]) for a in at)))
-    which = np.where(scored, np.cumsum(scored) - 1, 0)
+    scored = np.asarray(chunks.counts).any(1)  # the others are padding
+    inputs = [np.asarray(a)[scored] for a in (terms, x, command)]
+    table = tabulate(augmented.simulator, Points(np.asarray(v.phi), *(a.reshape(-1, *a.shape[2:]) for a in inputs)))
+    index = np.where(scored, np.cumsum(scored) - 1, 0)
     return chunks._replace(
-        table=jax.tree.map(lambda a: jnp.asarray(a.reshape(*at[0].shape[:2], *a.shape[1:])[which]), table)
+        table=jax.tree.map(lambda a: jnp.asarray(a.reshape(*inputs[0].shape[:2], *a.shape[1:])[index]), table)
     )

@@ -1,7 +1,7 @@
 """Recordings, the simulator to explain them, and the log-likelihood of its innovations at given constants.
 
-The innovations' outputs are correlated (a position integrates its velocity). A fixed matrix decorrelates them, so that
-log-likelihoods of outputs add up; each output then has a Student's t noise of its own.
+Innovations of different outputs are correlated (a position integrates its velocity). A fixed matrix decorrelates them,
+so that log-likelihoods of outputs add up. Each output then has its own Student's t noise.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -18,22 +18,22 @@ from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 
 NEAR = 0.5
-"""How far parameters, which are logarithms, may go from where an engine was tabulated: a factor of 1.6. Without a bound
+"""How far parameters (logarithms) may move from where an engine was tabulated: a factor of 1.6. Without this bound,
 tables and engine differed by thousands of nats."""
 TRUSTED = 0.5
-"""Share of an innovation that a fit begins with trusting a measurement."""
+"""Initial diagonal of K: the share of an innovation by which the state estimate is corrected."""
 FEW = 2
-"""Effects at most for which the program of single rows leaves out the others: what was found, and what is asked."""
+"""With at most this many effects (one accepted, one tested), the program of single rows omits the laws of others."""
 THREADS = 2
-"""Batches, or hypotheses, that are worked on at once; each computation keeps to one core."""
+"""Batches or hypotheses computed at once; each computation uses one core."""
 
 
 class Problem(NamedTuple):
     """Recordings and the simulator to explain them; `whiten` decorrelates the innovations of the o observed outputs.
 
-    ranges_hold: parameters stay in their declared ranges. Without, it is asked what other ranges would explain. near:
-    parameters at which an engine was tabulated, far from which the tables do not hold. reach: how far from there they
-    may go; 0 holds them.
+    ranges_hold: parameters stay in their declared ranges; False lets a fit show which other ranges would explain the
+    recordings. near: parameters at which an engine was tabulated; the tables are invalid far from them. reach: how far
+    from there parameters may move; 0 fixes them.
     """
 
     augmented: Augmented
@@ -46,8 +46,11 @@ class Problem(NamedTuple):
 
 
 class Group(NamedTuple):
-    """One free constant: the entries of theta that share it, the size it is looked for at (its unit in fits and
-    derivatives), and where it acts: always (0), or where support s is open (s from 1)."""
+    """One free constant.
+
+    entries: those of theta that share it. scale: size at which it is searched; its unit in fits and derivatives.
+    support: where it acts: everywhere (0), or where support s is open (s from 1).
+    """
 
     entries: tuple[int, ...]
     scale: float
@@ -55,7 +58,7 @@ class Group(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A model with its constants fitted; e: decorrelated innovations of the rows that count."""
+    """A model with fitted constants; e: decorrelated innovations of the scored rows."""
 
     v: Variables
     groups: tuple[Group, ...]
@@ -74,9 +77,9 @@ def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: N
 
 
 def start(problem: Problem) -> Variables:
-    """Nominal parameters, equal trust in prediction and measurement, no effect.
+    """Initial variables: nominal parameters, equal weights of prediction and measurement, no effect.
 
-    A state that is not observed follows those that are, as the rate of an alpha-beta filter [Kalata 1984] does.
+    Observed states correct an unobserved one with the gain that an alpha-beta filter has for the rate [Kalata 1984].
     """
     layout = problem.augmented.layout
     follows = [not layout.observed[i] and bool(layout.observed[j]) for i, j in layout.akin]
@@ -93,15 +96,15 @@ def start(problem: Problem) -> Variables:
 
 
 def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
-    """W with W e uncorrelated and of unit scale, by the covariance of what is left when outliers are clipped.
+    """W such that W e is uncorrelated and of unit scale, from the covariance after clipping outliers.
 
-    Outputs that are always zero keep their scale. The identity where an innovation is not finite.
+    Outputs that are always zero keep their scale. Returns the identity if an innovation is not finite.
     """
     if not np.isfinite(e).all():
         return np.eye(e.shape[1])
     size = np.abs(e.astype(np.float64))
     scale = np.zeros(e.shape[1]) if not len(e) else np.median(size, axis=0) * 1.4826
-    # Of an output that mostly stays exactly where it is, what it does elsewhere.
+    # An output that is mostly constant has a median of zero: use its largest innovation.
     scale = np.where(scale > 0, scale, size.max(0, initial=0.0))
     scale = np.where(scale > 0, scale, 1.0)
     z = np.clip(e / scale, -3, 3)
@@ -111,7 +114,7 @@ def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
 
 
 def value_of(v: Variables, group: Group) -> float:
-    """The internal constant that a group's entries share."""
+    """Internal value of a group's constant."""
     base = v.theta if group.support == 0 else v.delta[group.support - 1]
     return float(base[group.entries[0]])
 
@@ -126,38 +129,39 @@ def with_value(v: Variables, group: Group, value: float) -> Variables:
 
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
-    """Innovations in the observed outputs' own units, zero in rows that do not count."""
+    """Innovations in the observed outputs' own units; zero in rows that are not scored."""
     _, e = filtered(problem.augmented, problem.scales, v, problem.chunks)
     return np.where(np.asarray(problem.chunks.counts)[..., None], e, np.float32(0))
 
 
 def estimates(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
-    """Estimates of the state that the steps to the innovations begin with, in rows that do not count as well."""
+    """State estimates at the beginning of the steps, including rows that are not scored."""
     return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks)[0])
 
 
 def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:
-    """Decorrelated innovations of several values of the variables.
+    """Decorrelated innovations for several values of the variables.
 
-    One by one: what a value's laws cost is paid for that value alone, and nothing is gained side by side.
+    Not vectorised: each value then pays for its own laws only, and vectorising would gain nothing.
     """
     return np.stack(side_by_side(lambda v: decorrelate(problem, raw_innovations(problem, v)), vs))
 
 
 def row_trials(problem: Problem, v: Variables, thetas: Sequence[Float[np.ndarray, " P"]]) -> Float[np.ndarray, "M n s"]:
-    """Decorrelated innovations of every row, had its step alone been taken with other constants of the effects."""
+    """Decorrelated innovations of every row, with only its own step taken with other constants of the effects."""
     lean = problem.augmented.lean(FEW, v.theta, v.delta, *thetas)
-    one = lambda theta: alone(lean, problem.scales, v, theta, problem.chunks)  # noqa: E731
-    return np.stack(side_by_side(lambda theta: decorrelate(problem, one(theta)), thetas))
+    raw = lambda theta: alone(lean, problem.scales, v, theta, problem.chunks)  # noqa: E731
+    return np.stack(side_by_side(lambda theta: decorrelate(problem, raw(theta)), thetas))
 
 
 def decorrelate(problem: Problem, raw: Any) -> Float[np.ndarray, "... n s"]:
-    with np.errstate(over="ignore", invalid="ignore"):  # a trial may explode; it is then not taken
+    """Decorrelated innovations of the scored rows."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge; it is then rejected
         return counted(problem.chunks, raw) @ problem.whiten.T.astype(np.float32)
 
 
 def side_by_side(function: Callable, items: Iterable) -> list:
-    """The function of every item, in order, computed on `THREADS` threads."""
+    """Applies the function to every item on `THREADS` threads; results in order."""
     with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(function, items))
 

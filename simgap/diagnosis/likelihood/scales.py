@@ -1,4 +1,4 @@
-"""Magnitudes of a recording set: the scales at which effects are looked for."""
+"""Magnitudes of a recording set: the scales at which effects are searched."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -19,13 +19,13 @@ from simgap.types import Recording, StepModel
 
 QUANTILES = np.linspace(0, 1, 21)
 PROBES = 200
-"""Rows in which it is looked how far an effort moves a joint."""
+"""Rows at which the response of a joint to an effort is probed."""
 STEPS = 1e-6
-"""Of the greatest change of a command, below which a change is its rounding."""
+"""Changes of a command below this share of its greatest change count as rounding."""
 
 
 def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
-    """Scales of all sessions together."""
+    """Scales over all sessions."""
     layout = augmented.layout
     states = np.concatenate([r.state for r in recordings])
     commands = np.concatenate([r.command for r in recordings])
@@ -33,26 +33,26 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
     velocity, position, _ = by_row(motion, layout, states)
     b, a = np.array(axis_indices(layout), int).reshape(-1, 2).T
     return Scales(
-        command=_usual(commands),
-        command_step=np.array([_usual(c[c > STEPS * c.max(initial=0.0), None])[0] for c in changes.T]),
+        command=_typical_size(commands),
+        command_step=np.array([_typical_size(c[c > STEPS * c.max(initial=0.0), None])[0] for c in changes.T]),
         speed=np.quantile(np.abs(velocity), 0.95, axis=0),
-        axis_speed=_usual(velocity[:, b, a]),
+        axis_speed=_typical_size(velocity[:, b, a]),
         axis_command=_axis_commands(augmented, recordings, commands, velocity),
         reach=np.quantile(np.linalg.norm(position[:, reaching(layout), :2], axis=-1), QUANTILES, axis=0).T,
         height=np.quantile(position[:, floored(layout), 2], QUANTILES, axis=0).T,
         interval=_intervals(augmented, recordings),
-        output=_usual(states - np.median(states, axis=0)),
+        output=_typical_size(states - np.median(states, axis=0)),
         duration=float(max(r.time_s[-1] - r.time_s[0] for r in recordings)),
         time_step=float(augmented.simulator.time_step),
     )
 
 
-def _usual(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
-    """Of every column the 95th percentile of the size; the greatest size, where most is zero; 1, where all is."""
+def _typical_size(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
+    """95th percentile of each column's absolute values; their maximum where that is zero; 1 where all are zero."""
     size = np.abs(values)
-    usual = np.quantile(size, 0.95, axis=0) if len(size) else np.zeros(size.shape[1])
-    usual = np.where(usual > 0, usual, size.max(0, initial=0.0))
-    return np.where(usual > 0, usual, 1.0)
+    typical = np.quantile(size, 0.95, axis=0) if len(size) else np.zeros(size.shape[1])
+    typical = np.where(typical > 0, typical, size.max(0, initial=0.0))
+    return np.where(typical > 0, typical, 1.0)
 
 
 def _axis_commands(
@@ -61,68 +61,68 @@ def _axis_commands(
     commands: Float[np.ndarray, "n u"],
     velocity: Float[np.ndarray, "n b 4"],
 ) -> Float[np.ndarray, " k"]:
-    """Usual commands of the axes that can be pushed; the usual velocity where there is none.
+    """Typical commands of the axes that can be pushed; the typical velocity of an axis without a command.
 
-    A command that is always zero has no size: the one then that would change the velocity by as much as it changes.
+    For a command that is always zero: the size that would cause the typical change of the velocity.
     """
     layout = augmented.layout
     ends = np.cumsum([len(r.time_s) for r in recordings])[:-1]
     changes = np.concatenate([np.diff(part, axis=0) for part in np.split(velocity, ends)])
     if is_engine(augmented.simulator):
-        return _usual_efforts(augmented.simulator, augmented, recordings, changes)
+        return _typical_efforts(augmented.simulator, augmented, recordings, changes)
     response = np.asarray(_response(augmented.simulator, jnp.asarray(augmented.nominal)))
     sizes = []
     for b, a in axis_indices(layout):
         column = layout.command[b, a]
         if column >= 0 and commands[:, column].any():
-            sizes.append(_usual(commands[:, [column]])[0])
+            sizes.append(_typical_size(commands[:, [column]])[0])
             continue
         per_unit = abs(float(response[layout.velocity[b, a], column])) if column >= 0 else 0.0
         if np.isfinite(per_unit) and per_unit > 0:
-            sizes.append(_usual(changes[:, b, a][:, None])[0] / per_unit)
+            sizes.append(_typical_size(changes[:, b, a][:, None])[0] / per_unit)
         else:
-            sizes.append(_usual(velocity[:, b, a][:, None])[0])
+            sizes.append(_typical_size(velocity[:, b, a][:, None])[0])
     return np.array(sizes)
 
 
 @partial(jax.jit, static_argnames="simulator")
 def _response(simulator: StepModel, phi: Float[Array, " p"]) -> Float[Array, "s u"]:
-    """Derivatives of the next state at rest by the commands."""
+    """Derivatives of the next state with respect to the commands, at rest."""
     rest, still = jnp.zeros(len(simulator.schema.state)), jnp.zeros(len(simulator.schema.command))
     return jax.jacfwd(lambda u: simulator.step(phi, rest, u))(still)
 
 
-def _usual_efforts(
+def _typical_efforts(
     engine: Engine,
     augmented: Augmented,
     recordings: Sequence[Recording],
     changes: Float[np.ndarray, "m b 4"],
 ) -> Float[np.ndarray, " k"]:
-    """Efforts that would change the velocities of an engine's joints by as much as they usually change."""
+    """Efforts that would cause the typical velocity changes of an engine's joints."""
     states = np.concatenate([r.state for r in recordings])
     commands = np.concatenate([r.command for r in recordings])
     chosen = np.linspace(0, len(states) - 1, min(PROBES, len(states))).astype(int)
     held = np.repeat(commands[chosen, None], engine.parts, axis=1)
     sizes = {}
     for i, (b, a) in enumerate(efforts(augmented.layout)):
-        moved = by_effort(engine, augmented.nominal.astype(float), states[chosen], held, i)
-        slope = np.abs(moved[:, augmented.layout.velocity[b, a]])
+        response = by_effort(engine, augmented.nominal.astype(float), states[chosen], held, i)
+        slope = np.abs(response[:, augmented.layout.velocity[b, a]])
         per_unit = float(np.median(slope[np.isfinite(slope)])) if np.isfinite(slope).any() else 0.0
-        sizes[b, a] = _usual(changes[:, b, a][:, None])[0] / per_unit if per_unit > 0 else 1.0
+        sizes[b, a] = _typical_size(changes[:, b, a][:, None])[0] / per_unit if per_unit > 0 else 1.0
     return np.array([sizes[place] for place in axis_indices(augmented.layout)])
 
 
 def _intervals(augmented: Augmented, recordings: Sequence[Recording]) -> np.ndarray:
-    """Time [s] by which each position advances per unit of its new velocity, by least squares over all rows."""
+    """Time [s] over which each position integrates its new velocity, by least squares over all rows."""
     layout, schema = augmented.layout, augmented.simulator.schema
     out = np.full(len(schema.state), float(augmented.simulator.time_step))
     for i, v in enumerate(layout.integrates):
         if v < 0:
             continue
-        moved = np.concatenate([np.diff(r.state[:, i]) for r in recordings])
-        moved = np.arctan2(np.sin(moved), np.cos(moved)) if schema.state[i].kind == "angle" else moved
+        increment = np.concatenate([np.diff(r.state[:, i]) for r in recordings])
+        increment = np.arctan2(np.sin(increment), np.cos(increment)) if schema.state[i].kind == "angle" else increment
         velocity = np.concatenate([r.state[1:, v] for r in recordings])
         power = velocity @ velocity
         if power > 0:
-            out[i] = moved @ velocity / power
+            out[i] = increment @ velocity / power
     return out

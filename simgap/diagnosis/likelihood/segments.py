@@ -1,6 +1,6 @@
-"""Sessions cut into segments that run side by side, and which of their rows count.
+"""Sessions cut into segments that run in parallel, and which of their rows are scored.
 
-Each segment begins with a few rows of run-in, in which the estimate forgets its start and which do not count.
+Each segment begins with a few run-in rows, in which the estimate forgets its start. They are not scored.
 """
 
 from collections.abc import Sequence
@@ -15,24 +15,24 @@ from simgap.engines import Table
 from simgap.types import Recording
 
 LENGTH = 40
-"""Rows of a chunk that count."""
+"""Scored rows of a segment."""
 RUN_IN = 10
-"""Rows before them, in which the estimate forgets its start."""
+"""Run-in rows before them, in which the estimate forgets its start."""
 WARM = 30
-"""Rows of past commands that run through the command path before a chunk, so that lags are where they were."""
+"""Rows of past commands that run through the command path before a segment, so that lags start in the right state."""
 TURNS = 12
-"""Turning points of each command before those rows, so that play is where it was; a real Spot has no more."""
+"""Turning points of each command before those rows, so that play starts in the right state; a real Spot has no more."""
 FEWEST, SIZES = 32, 4
-"""Least number of chunks, and how many numbers there are between one power of two and the next. They are filled up to
-these, so that recording sets of like size share what is compiled. Fewer than 32 chunks hardly take less time."""
+"""Least number of segments, and how many numbers there are between one power of two and the next. Segments are padded
+to these numbers, so that recording sets of similar size share compiled code. Fewer than 32 hardly take less time."""
 
 
 class Chunks(NamedTuple):
-    """Sessions cut into C chunks of T = RUN_IN + LENGTH + 1 rows.
+    """Sessions cut into C segments of T = RUN_IN + LENGTH + 1 rows.
 
-    past, turns: see `sent_before`. counts: whether the row t + 1 of the chunk is scored. gate: 1 where support s
-    is open, else 0. session: index into the recordings; row: of the chunk's first row in its session. table: what an
-    engine does near an estimate of every row but the last; without it, the simulator itself is run.
+    past, turns: see `sent_before`. counts: whether row t + 1 of the segment is scored. gate: 1 where support s is open,
+    else 0. session: index into the recordings. row: index of the segment's first row in its session. table: an
+    engine's steps near an estimate of every row but the last; without it, the simulator itself is run.
     """
 
     state: Float[Array, "C T s"]
@@ -51,31 +51,31 @@ class Chunks(NamedTuple):
 def sent_before(
     command: Float[np.ndarray, "T u"], row: int
 ) -> tuple[Float[np.ndarray, "h u"], Float[np.ndarray, "m u"]]:
-    """What was sent before a row of a session: the last HISTORY_ROWS + WARM commands, the latest first; and where each
-    command turned before the last WARM of them. Before the session, its first command was sent all along."""
+    """Commands before a row of a session: the last HISTORY_ROWS + WARM ones, and each command's turning points before
+    the last WARM rows; both latest first. Before the session, its first command is taken to have been constant."""
     past = command[np.maximum(row - 1 - np.arange(HISTORY_ROWS + WARM), 0)]
     return past, np.reshape([_turns(u) for u in command[: max(row - WARM, 1)].T], (-1, TURNS)).T
 
 
 def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
-    """The last value, and the highs and lows before it that no later one exceeds, the latest first.
+    """The last value, and the highs and lows before it that no later one exceeds, latest first.
 
-    They alone decide where play stands, whatever its gap and however long the command has rested since: a swing pushes
-    it, and a wider one undoes what narrower ones before it did. Where there are too many the widest are left out. The
+    They alone determine the state of play, whatever its gap and however long the command has rested since: a swing
+    pushes it, and a wider swing overrides narrower ones before it. If there are too many, the widest are left out. The
     oldest is zero: before its session a robot stood still, with the play in the middle of its gap.
     """
     back = u[::-1]
     side = np.sign(np.diff(np.maximum.accumulate(back))) + np.sign(np.diff(np.minimum.accumulate(back)))
     (exceeding,) = side.nonzero()  # one row further back a new high (1) or low (-1) is reached
     widest = exceeding[np.diff(side[exceeding], append=0) != 0] + 1
-    found = np.concatenate([back[:1], back[widest]])[: TURNS - 1]
-    return np.concatenate([found, np.zeros(TURNS - len(found))])
+    values = np.concatenate([back[:1], back[widest]])[: TURNS - 1]
+    return np.concatenate([values, np.zeros(TURNS - len(values))])
 
 
 def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
-    """Chunks of all sessions; the last of a session is shorter and filled up with rows that do not count.
+    """Segments of all sessions; the last one of a session is padded with rows that are not scored.
 
-    Others that do not count fill their number up, to at least `least`: sets of the same number share what is compiled.
+    Unscored segments pad their number, to at least `least`: sets of the same number share compiled code.
     """
     rows = RUN_IN + LENGTH + 1
     parts: list[tuple] = []
@@ -86,49 +86,49 @@ def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Ch
             start = max(first - RUN_IN, 0)
             index = np.minimum(np.arange(start, start + rows), steps)
             successor = np.arange(start + 1, start + rows)
-            # At a session's start a few rows are let in: the estimate begins at a measured state.
+            # A session's first rows are run-in as well: the estimate starts at a measured state.
             counted = (successor > max(first, 2)) & (successor <= min(first + LENGTH, steps))
             parts.append((r.state[index], r.command[index], *sent_before(r.command, start),
                           r.time_s[index] - r.time_s[0], interval[index], counted, np.ones((1, rows)), s,
                           start))  # fmt: skip
     *arrays, counted, gate, s, start = parts[0]
-    nothing = (*arrays, np.zeros_like(counted), gate, s, start)
-    return as_chunks([*parts, *[nothing] * (max(filled(len(parts)), least) - len(parts))])
+    padding = (*arrays, np.zeros_like(counted), gate, s, start)
+    return as_chunks([*parts, *[padding] * (max(filled(len(parts)), least) - len(parts))])
 
 
 def filled(count: int) -> int:
-    """The number that so many chunks are filled up to."""
+    """The number to which `count` segments are padded."""
     step = max(FEWEST, 2 ** (count.bit_length() - 1) // SIZES)
     return -(-count // step) * step
 
 
 def as_chunks(parts: Sequence[tuple]) -> Chunks:
-    """Chunks from their fields, one tuple a chunk."""
+    """Segments from their fields, one tuple per segment."""
     *arrays, session, row = (np.stack(a) for a in zip(*parts, strict=True))
     as_float = [jnp.asarray(a if a.dtype == bool else np.asarray(a, np.float32)) for a in arrays]
     return Chunks(*as_float, session=session, row=row)
 
 
 def bare(chunks: Chunks) -> Chunks:
-    """Chunks without where they come from, which is no array of JAX's, for `vmap` over chunks."""
-    nothing = jnp.zeros(len(chunks.state))
-    return chunks._replace(session=nothing, row=nothing)
+    """Segments without session and row, which are not JAX arrays, for `vmap` over segments."""
+    zeros = jnp.zeros(len(chunks.state))
+    return chunks._replace(session=zeros, row=zeros)
 
 
 def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
-    """The rows that count, in order: [..., n, s]."""
+    """The scored rows of e, in order: [..., n, s]."""
     return np.asarray(e)[..., np.asarray(chunks.counts), :]
 
 
 class Rows(NamedTuple):
-    """Session and time [s] of every row that counts, in order."""
+    """Session and time [s] of every scored row, in order; the time is that at which the step to the row begins."""
 
     session: np.ndarray
     time_s: np.ndarray
 
 
 def rows_of(chunks: Chunks) -> Rows:
-    """Session and time of the rows that count."""
+    """Session and time of the scored rows."""
     counts = np.asarray(chunks.counts)
     session = np.broadcast_to(np.asarray(chunks.session)[:, None], counts.shape)[counts]
     return Rows(session, np.asarray(chunks.time_s)[:, :-1][counts])

@@ -8,15 +8,15 @@ from scipy.special import gammaln
 
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
 FROM_AFAR, FROM_NEAR = 6, 3
-"""Steps to the scale of the first of these, and from each one's to the next one's."""
+"""EM steps for the scale at the first of these, and at each further one, which starts from the scale before it."""
 LEAST = 1e-9
-"""Least scale, of outputs that a model predicts exactly."""
+"""Least scale, for outputs that a model predicts exactly."""
 FURTHEST = 1e15
-"""Decorrelated innovations beyond this count as this: their squares stay finite in 32 bits."""
+"""Decorrelated innovations are clipped to this, so that their squares stay finite in 32 bits."""
 
 
 class Noise(NamedTuple):
-    """Student's t of each decorrelated output."""
+    """Student's t noise of each decorrelated output."""
 
     scale: Float[np.ndarray, " s"]
     dof: Float[np.ndarray, " s"]
@@ -30,28 +30,28 @@ def log_density(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, 
 
 
 def weights(e: Float[np.ndarray, "n s"], noise: Noise) -> Float[np.ndarray, "n s"]:
-    """w with d ln t / de = -w e: what an innovation counts for; one whose square overflows counts for nothing."""
+    """Weights w with d ln t / de = -w e; zero for an innovation whose square overflows."""
     with np.errstate(over="ignore"):
         return (noise.dof + 1) / (noise.dof * noise.scale**2 + e**2)
 
 
 def fit_noise(e: Float[np.ndarray, "n s"]) -> Noise:
-    """Scale for every dof of `DOFS`, each from where the one before ended, and the dof of greatest likelihood."""
+    """The dof of `DOFS` with the greatest likelihood, and its scale. Each fit starts from the previous one's scale."""
     if not len(e):
         return Noise(np.ones(e.shape[1]), np.full(e.shape[1], DOFS[-1]))
     squared = np.maximum(np.clip(e.T.astype(np.float32), -FURTHEST, FURTHEST) ** 2, np.float32(1e-30))
-    variance, found = np.maximum(np.median(squared, axis=-1) * 2, LEAST**2), []
+    variance, fits = np.maximum(np.median(squared, axis=-1) * 2, LEAST**2), []
     for dof in DOFS:
-        variance, density = _fit_scale(squared, variance, float(dof), FROM_NEAR if found else FROM_AFAR)
-        found.append((variance, density))
-    best = np.array([density for _, density in found]).argmax(0)
-    return Noise(np.sqrt(np.array([v for v, _ in found])[best, np.arange(e.shape[1])]), DOFS[best])
+        variance, density = _fit_scale(squared, variance, float(dof), FROM_NEAR if fits else FROM_AFAR)
+        fits.append((variance, density))
+    best = np.array([density for _, density in fits]).argmax(0)
+    return Noise(np.sqrt(np.array([v for v, _ in fits])[best, np.arange(e.shape[1])]), DOFS[best])
 
 
 def _fit_scale(
     squared: Float[np.ndarray, "s n"], variance: Float[np.ndarray, " s"], dof: float, steps: int
 ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, " s"]]:
-    """Squared scale of t noise with so many degrees of freedom, and the mean log-density with it.
+    """Squared scale of t noise with `dof` degrees of freedom, and the mean log-density with it.
 
     Parameter-expanded EM [Liu, Rubin & Wu 1998]: v <- mean(w x^2) / mean(w) with w = 1 / (dof + x^2 / v), where
     mean(w x^2) = v (1 - dof mean(w)).

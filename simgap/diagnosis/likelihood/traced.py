@@ -1,7 +1,7 @@
 """The parts of `step` under `jax.jit`, so that JAX traces each once for all programs that contain it.
 
-They take the effects' constants as variables. Call `step` itself where the constants are known before tracing: it then
-skips the laws whose constants are zero.
+Effects' constants are variables here. Where they are known before tracing, call `step` itself: it then skips the laws
+whose constants are zero.
 """
 
 import jax

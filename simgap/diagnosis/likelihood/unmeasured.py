@@ -1,7 +1,7 @@
-"""States that recordings lack: where a filter begins with them, and what it makes of them.
+"""Unmeasured states: their first guess, and their estimates by a fitted model.
 
-They are never measured: a slope of positions is where the first filter begins, and nothing else is made of it. Once a
-model is fitted, each segment's start is fitted too, and the filter's estimates take the slope's place.
+The slope of a position is the first guess of its velocity; it only initialises the filter. Once a model is fitted, each
+segment's start is fitted too, and the filter's estimates replace the slope.
 """
 
 from collections.abc import Sequence
@@ -21,14 +21,14 @@ from simgap.layout import Layout
 from simgap.types import Recording, Sessions
 
 SLOPE_ROWS = 2
-"""Rows before and after one over which the slope of a position is a first guess of its velocity."""
+"""Rows before and after each row over which the slope of a position is taken."""
 
 
 def guessed(layout: Layout, sessions: Sessions) -> Sessions:
-    """Sessions with a first guess of the states that they lack, in columns behind the measured ones."""
+    """Sessions with a first guess of their unmeasured states, in columns after the measured ones."""
     if layout.observed.all():
         return sessions
-    return Sessions(*([_guessed(layout, r) for r in some] for some in sessions))
+    return Sessions(*([_guessed(layout, r) for r in recordings] for recordings in sessions))
 
 
 def _guessed(layout: Layout, recording: Recording) -> Recording:
@@ -42,7 +42,7 @@ def _guessed(layout: Layout, recording: Recording) -> Recording:
 
 
 def _slopes(time_s: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Slope of the line through the rows around each one, by least squares."""
+    """Least-squares slope over the rows around each row."""
     rows = np.clip(np.arange(len(values))[:, None] + np.arange(-SLOPE_ROWS, SLOPE_ROWS + 1), 0, len(values) - 1)
     t, y = time_s[rows], values[rows]
     t = t - t.mean(1, keepdims=True)
@@ -50,7 +50,7 @@ def _slopes(time_s: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) ->
 
 
 def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings with what a fitted model makes of the states that they lack."""
+    """Recordings with a fitted model's estimates of their unmeasured states."""
     hidden = ~problem.augmented.layout.observed
     chunks = chunks._replace(state=fitted_starts(problem, v, chunks))
     x = estimates(problem._replace(chunks=chunks), v)
@@ -58,7 +58,7 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
     states = [np.array(r.state) for r in recordings]
     for chunk, (session, first) in enumerate(zip(chunks.session, chunks.row, strict=True)):
         state = states[session]
-        settled = RUN_IN if first else 0  # where an earlier segment has its say
+        settled = RUN_IN if first else 0  # the run-in keeps the estimates of the segment before
         rows = np.arange(first + settled, min(first + x.shape[1], len(state)))
         state[np.ix_(rows, hidden)] = x[chunk, rows - first][:, hidden]
         state[first, hidden] = x[chunk, 0, hidden]
@@ -66,7 +66,7 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
 
 
 def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T s"]:
-    """States of the segments, the first row's unmeasured ones by one step of weighted least squares."""
+    """States of the segments; the unmeasured ones of the first row are fitted by one weighted least-squares step."""
     _, raw = filtered(problem.augmented, problem.scales, v, chunks)
     size = 1.4826 * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
     moved = _steps(problem.augmented, problem.scales, v, chunks, jnp.asarray(1 / np.maximum(size, 1e-12)))
@@ -79,7 +79,7 @@ def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.nd
 def _steps(
     augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks, weight: Float[Array, " o"]
 ) -> Float[Array, "C k"]:
-    """To where the innovations of each segment are least, along the unmeasured states of its first row."""
+    """Least-squares steps of the unmeasured states in each segment's first row, which reduce its innovations."""
     hidden = np.flatnonzero(~augmented.layout.observed)
 
     def one(chunk: Chunks) -> Float[Array, " k"]:
@@ -89,7 +89,7 @@ def _steps(
             return (filtered(augmented, scales, v, nested)[1][0] * weight).ravel()
 
         start = chunk.state[0, hidden]
-        J, missed = jax.jacfwd(e)(start), e(start)
-        return -jnp.linalg.lstsq(J, missed, rcond=1e-4)[0]
+        J, residuals = jax.jacfwd(e)(start), e(start)
+        return -jnp.linalg.lstsq(J, residuals, rcond=1e-4)[0]
 
     return jax.vmap(one)(bare(chunks))
