@@ -1,7 +1,7 @@
-"""What a diagnosis needs of a physics engine, whose step is no function of JAX's.
+"""The interface of a physics engine, whose step is not a JAX function.
 
-An engine computes many rows at once. `simgap.simulators.tables` differences it along an estimated motion, and a whole
-search then runs on these tables in JAX; the engine itself confirms what the search ends with.
+An engine computes many rows at once. `simgap.simulators.tables` differentiates it numerically along an estimated
+motion. The search then runs on these tables in JAX, and the engine itself confirms the result.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Term:
-    """Physics that an engine can switch on by one constant c; nil at c = 0.
+    """Physics that an engine can switch on by one constant c; off at c = 0.
 
-    effect: id of the vocabulary. where: joint or body that it acts on. outputs, channels: names of the states and
-    commands concerned. constant, unit: of c as people read it. low, high: bounds of c. starts: sizes of c at which a
-    search begins. says: a sentence for people with the constant's name in braces, which holds wherever the term acts.
-    reciprocal: c is one over a limit, so that nil is no limit; `unit` is the limit's. shared: the term may have one
-    constant at several places.
+    effect: id of the effect. where: joint or body that it acts on. outputs, channels: names of the states and commands
+    concerned. constant, unit: name and unit of c as people read it. low, high: bounds of c. starts: values of c from
+    which a search starts. says: a sentence for people with the constant's name in braces, true wherever the term acts.
+    reciprocal: c is one over a limit, so that zero is no limit; `unit` is that of the limit. shared: several places
+    may share one constant.
     """
 
     effect: str
@@ -44,7 +44,7 @@ class Term:
 
 
 class Engine(Protocol):
-    """A simulator that steps many rows at once, outside JAX; rows do not depend on each other.
+    """A simulator that steps many rows at once, outside JAX. Rows do not depend on each other.
 
     Each joint is a body of its own in the schema (`Field.body`), with a position and a velocity along its axis; the
     velocities' `effort` is the unit of the force that `rows` applies there. Units are SI, angles rad.
@@ -52,12 +52,12 @@ class Engine(Protocol):
 
     @property
     def schema(self) -> Schema:
-        """The columns of its recordings; states that these lack come last, with `observed=False`."""
+        """The columns of its recordings. States that recordings lack come last, with `observed=False`."""
         ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters phi, in order; those that scale a value of the model are logarithms of the scale."""
+        """The parameters phi, in order. Those that scale a value of the model are the logarithm of the scale."""
         ...
 
     @property
@@ -67,7 +67,7 @@ class Engine(Protocol):
 
     @property
     def parts(self) -> int:
-        """Equal parts of a row in which commands may differ."""
+        """Number of equal parts of a row in which commands may differ."""
         ...
 
     @property
@@ -83,20 +83,20 @@ class Engine(Protocol):
         command: Float[np.ndarray, "n parts u"],
         effort: Float[np.ndarray, "n a"],
     ) -> Float[np.ndarray, "n s"]:
-        """The next states, in double precision; may be called from several threads at once.
+        """The next states, in double precision. May be called from several threads at once.
 
         effort: forces along the velocities that have an `effort`, in the order of the states, for the whole row. A row
-        that leaves the finite numbers is not a number; it raises nothing.
+        that diverges returns NaN; it raises nothing.
         """
         ...
 
 
 class Table(NamedTuple):
-    """Of each of many rows, what an engine does near a point: the next state `then` at the point, for parameters and
-    terms of zero, and the derivatives by everything.
+    """An engine near a point, for each of many rows: the next state `then` at the point, with parameters and terms of
+    zero, and the derivatives with respect to everything.
 
-    Of a term, of which there may be much or none, it is a parabola: right at none of it and at what it is at the point,
-    and there in its slope as well. Units are those of `rows`.
+    A term may be far from zero, so it enters as a parabola. This is exact at zero and at the term's value at the
+    point, and has the exact slope there. Units are those of `rows`.
     """
 
     state: Float[Array | np.ndarray, "... s"]

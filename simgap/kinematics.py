@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from simgap.layout import YAW, Layout, X, Y, Z
 
 _Number = Float[Array, ""] | float
-"""Vectors of a few numbers are computed number by number, and put together last: XLA writes what enters a
-concatenation again for all that is computed of it, so that one inside another takes it long to compile and to run."""
+"""Short vectors are computed number by number and assembled last. XLA repeats the inputs of a concatenation in all that
+is computed from it, so that nested concatenations take long to compile and to run."""
 
 
 _Numbers = Sequence[_Number] | Float[Array, " n"]
@@ -30,18 +30,18 @@ class Motion(NamedTuple):
 
 
 def placed(size: int, index: int, value: Float[Array, "..."] | float) -> Float[Array, " n"]:
-    """Zeros but for value, a number or several, from an index on. XLA makes a loop of `x.at[index].add(value)`."""
+    """Zeros, with one or several values from an index on. XLA would compile `x.at[index].add(value)` to a loop."""
     values = jnp.atleast_1d(jnp.asarray(value))
     return jnp.pad(values, (index, size - index - len(values)))
 
 
 def substituted(x: Float[Array, " n"], index: int, value: _Number) -> Float[Array, " n"]:
-    """x with another value at an index. XLA makes a loop of `x.at[index].set(value)`."""
+    """x with another value at an index. XLA would compile `x.at[index].set(value)` to a loop."""
     return jnp.where(np.arange(len(x)) == index, value, x)
 
 
 def on_body(layout: Layout, b: int, axis: int, value: Float[Array, "..."]) -> Float[Array, "b 4"]:
-    """A push on one body along the axes from `axis` on, as many as there are values."""
+    """A push on one body along the axes from `axis` on, one per value."""
     size = 4 * len(layout.bodies)
     return placed(size, 4 * b + axis, value).reshape(-1, 4)
 
@@ -117,7 +117,7 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
 
 
 def to_own_frame(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"]) -> Float[Array, " s"]:
-    """A vector of states' differences with its pairs in the world's frame turned into their bodies' own."""
+    """A vector of state differences, with its world-frame pairs turned into their body's own frame."""
     return _rotated(layout, vector, state, -1.0)
 
 
@@ -127,7 +127,7 @@ def to_world(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s
 
 
 def _rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
-    """World-frame horizontal pairs (velocities, positions) turned by sign times the heading of their body."""
+    """A vector with its world-frame horizontal pairs (velocities, positions) turned by sign times their heading."""
     numbers = list(vector)
     for b, heading in enumerate(layout.heading):
         if heading is None:
@@ -142,9 +142,9 @@ def _rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s
 def _enter(
     layout: Layout, what: Literal["position", "velocity", "command"], b: int, heading: Array, delta: Sequence[_Number]
 ) -> tuple[list[_Number], list[_Number]]:
-    """What of a body's own-frame push enters along the axes that a table has, and what is left of it, own frame.
+    """The part of a body's own-frame push that enters along the axes of a table, and the rest, in the own frame.
 
-    Along a world axis that the table lacks nothing enters: what is left is that axis' part.
+    The rest is the part along world axes that the table lacks.
     """
     has = getattr(layout, what)[b] >= 0
     in_world = has[[X, Y]].any() and layout.in_world(what, b)
@@ -155,7 +155,7 @@ def _enter(
 
 
 def _filled(size: int, table: np.ndarray, entered: Sequence[Sequence[_Number]]) -> Float[Array, " n"]:
-    """What enters along each body's axes, in the columns of a table."""
+    """Values along each body's axes, placed in the columns of a table."""
     values: list[_Number] = [0.0] * size
     for columns, delta in zip(table, entered, strict=True):
         for column, d in zip(columns, delta, strict=True):
@@ -169,9 +169,9 @@ def push(
 ) -> tuple[Float[Array, " u"], Float[Array, " s"], Float[Array, " s"]]:
     """A push on each body, in its own frame, as additions to the command, to the velocities and to position rates.
 
-    Where a command drives the axis the push enters there, in the command's unit, so that the simulator's own dynamics
-    act on it; else it is added to the velocity of every step, or to the rate of a position without velocity: a push
-    across a car, which knows its speed ahead only, moves both its x and its y.
+    Where a command drives the axis, the push enters there, in the command's unit, so that the simulator's own dynamics
+    act on it. Otherwise it is added to the velocity of every step, or to the rate of a position without velocity. For
+    example, a sideways push on a car whose state has only its forward speed moves both x and y.
     """
     tables: list[list[list[_Number]]] = [[], [], []]
     for b in range(len(layout.bodies)):
@@ -195,6 +195,6 @@ def commanded(layout: Layout, b: int, heading: Float[Array, ""], command: Float[
 
 
 def wrapped(layout: Layout, difference: Float[Array, "... s"]) -> Float[Array, "... s"]:
-    """Differences of states, those of angles between -pi and pi."""
+    """Differences of states, with angles wrapped to -pi .. pi."""
     turns = jnp.where(layout.angles, jnp.round(difference / (2 * jnp.pi)), 0.0)
     return difference - 2 * jnp.pi * turns

@@ -1,7 +1,7 @@
-"""The geometry a simulator declares: which command drives which velocity of which body, and how bodies are mounted.
+"""The geometry that a simulator declares: which command drives which velocity of which body, and the mounts of bodies.
 
-Motion is read and pushes are written in each body's own frame, on the axes x, y, z and yaw: a law of friction is then
-the same three characters for a one-axis drive and for a hand on a walking robot.
+Motions and pushes are expressed in each body's own frame, along x, y, z and yaw. So a law of friction is the same for a
+one-axis drive and for a hand on a walking robot.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ X, Y, Z, YAW = range(4)
 
 @dataclass(frozen=True)
 class Layout:
-    """Which column is what, for a schema.
+    """The roles of a schema's columns.
 
     `position`, `velocity` [s index] and `command` [u index] are tables of bodies x `AXES`, -1 where there is none.
     """
@@ -47,7 +47,7 @@ class Layout:
 
     @cached_property
     def driven(self) -> np.ndarray:
-        """Commands that drive an axis, set positions among them."""
+        """Commands that drive an axis, including position set points."""
         return self._table(list(enumerate(self.schema.command)))
 
     @cached_property
@@ -57,18 +57,18 @@ class Layout:
 
     @cached_property
     def jointed(self) -> bool:
-        """Whether every axis that can be pushed is a joint's: the machine has no body that moves freely."""
+        """Whether every axis that can be pushed is a joint's, so that no body moves freely."""
         moving = [b for b, row in enumerate(self.velocity) if (row >= 0).any()]
         return bool(moving) and all(self.bodies[b] in self.joints for b in moving)
 
     def single(self, body: int) -> bool:
-        """Whether a body moves along one axis alone, by itself: its motion needs no name of a direction."""
+        """Whether a body has one axis only and no carrier: its motion then needs no name of a direction."""
         axes = ((self.velocity[body] >= 0) | (self.position[body] >= 0)).sum()
         return bool(axes == 1) and self.carrier[body] is None
 
     @cached_property
     def observed(self) -> np.ndarray:
-        """Which states recordings have as columns: the first of all."""
+        """Which states recordings have as columns; these come first."""
         return np.array([f.observed for f in self.schema.state])
 
     @cached_property
@@ -105,17 +105,17 @@ class Layout:
 
     @cached_property
     def akin(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of states (i, j) that move together in the bodies' own frames, so that one measured tells of the other.
+        """Pairs of states (i, j) that are coupled in the bodies' own frames: measuring one informs about the other.
 
-        Those of one axis: a body carries what is mounted on it, and a velocity moves its position. And yaw with what
-        lies across, for a body that turns sweeps the arm that reaches ahead of it. A joint's axis is its own.
+        States of one axis are: a body carries what is mounted on it, and a velocity moves its position. So are yaw and
+        y: a body that turns sweeps the arm ahead of it sideways. A joint's axis is coupled to no other body's.
         """
         axis = [{"yaw": "y"}.get(f.axis, f.axis) if f.body else "" for f in self.schema.state]
         kin = [f.body if f.body in self.joints else a for f, a in zip(self.schema.state, axis, strict=True)]
         return tuple((i, j) for i, a in enumerate(kin) for j, b in enumerate(kin) if i != j and a and a == b)
 
     def _same_frame(self, p: int, v: int) -> bool:
-        """About the vertical, and without a heading, all frames are one."""
+        """Whether a position and a velocity share a frame; in yaw, along z, and without a heading, all do."""
         position, velocity = self.schema.state[p], self.schema.state[v]
         body = self.bodies.index(position.body)
         return position.frame == velocity.frame or position.axis in ("yaw", "z") or self.heading[body] is None
@@ -128,19 +128,19 @@ class Layout:
         return table
 
     def outputs(self, body: int, axes: tuple[int, ...] = (X, Y, Z, YAW)) -> tuple[str, ...]:
-        """Names of the velocities of a body along some axes; its positions where it has no velocity there."""
+        """Names of a body's velocities along these axes; of its positions where it has no velocity."""
         rows = [self.velocity[body, a] if self.velocity[body, a] >= 0 else self.position[body, a] for a in axes]
         return tuple(self.schema.state[i].name for i in rows if i >= 0)
 
     def shown_in(self, body: int, axes: tuple[int, ...]) -> tuple[str, ...]:
-        """Names of the outputs in which a body's motion along some of its own axes shows.
+        """Names of the outputs that show a body's motion along these axes of its own.
 
-        Measured along the world's, motion along x shows in y as well, for the body turns.
+        Where the velocity is in the world frame, motion along x shows in y as well, as the body turns.
         """
         turns = self.heading[body] is not None and self.in_world("velocity", body)
         across = {X, Y} if turns and {X, Y} & set(axes) else set()
         return self.outputs(body, tuple(sorted({*axes, *across})))
 
     def drives(self, body: int, axis: int) -> bool:
-        """Whether a push on the body along the axis can act at all."""
+        """Whether a push on the body along the axis has any effect."""
         return bool(max(self.command[body, axis], self.velocity[body, axis], self.position[body, axis]) >= 0)

@@ -1,4 +1,4 @@
-"""A function of every row of some arrays, compiled once whatever their number."""
+"""Applies a function to every row of some arrays, compiled once for any number of rows."""
 
 from collections.abc import Callable, Hashable
 from functools import partial
@@ -9,20 +9,20 @@ import numpy as np
 from jaxtyping import Float
 
 ROWS = 1024
-"""Rows that are computed at once."""
+"""Rows that are computed in one batch."""
 
 
 def by_row(function: Callable, fixed: Hashable, *arrays: Float[np.ndarray, "..."]) -> Any:
     """`function(fixed, *row)` of every row, in 32 bits, as NumPy arrays.
 
     function: defined in a module; a new lambda or partial would be compiled again. fixed: the same for all rows, such
-    as a layout. arrays: they share their leading axes, and so do the results. Rows of the first array are vectors.
+    as a layout. arrays: they and the results have the same leading axes. Rows of the first array are vectors.
     """
     axes = arrays[0].ndim - 1
     lead = arrays[0].shape[:axes]
     count = int(np.prod(lead))
     flat = [np.asarray(a, np.float32).reshape(count, *a.shape[axes:]) for a in arrays]
-    # The last batch is filled up by repetition; of no rows there is one of zeros, for the results' shapes.
+    # The last batch is filled by repeating a row. Without rows, one row of zeros gives the shapes of the results.
     flat = flat if count else [np.zeros((1, *a.shape[1:]), np.float32) for a in flat]
     parts = []
     for first in range(0, max(count, 1), ROWS):

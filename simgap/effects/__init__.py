@@ -1,4 +1,4 @@
-"""The vocabulary of left-out physics: one physical family a file, all in `CATALOGUE`."""
+"""The catalogue of effects, physics that a simulator may lack: one physical family per file, all in `CATALOGUE`."""
 
 from simgap.effects import command_path, coupling, forces, limits, resistance, sensing, timing
 from simgap.effects.effect import Effect

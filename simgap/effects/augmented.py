@@ -1,8 +1,8 @@
-"""A simulator with all effects of the catalogue at all their sites; with all constants zero it is the simulator.
+"""A simulator with all effects of the catalogue at all their sites; with all constants zero it is the simulator itself.
 
-Laws whose constants are zero are nil, and yet take their time. `active` says which effects act at all, so that the
-others cost nothing to run. It must be the same for all that is computed side by side, for under `vmap` a condition that
-differs computes both branches. `lean` leaves the others out, so that they cost nothing to compile either.
+A law whose constants are zero changes nothing, but still takes time. `active` says which effects act, so that the
+others cost no run time. It must be the same for everything that is computed in one batch: under `vmap`, a condition
+that differs between members computes both branches. `lean` leaves the other laws out, which saves compile time as well.
 """
 
 from collections.abc import Callable
@@ -23,25 +23,25 @@ from simgap.layout import Layout
 from simgap.types import StepModel
 
 Theta = Float[Array | np.ndarray, " P"]
-"""Internal constants of all effects at all sites; numpy's where they are known before any tracing."""
+"""Internal constants of all effects at all sites. A numpy array where they are known before tracing."""
 
 Active = Bool[Array, " effects"] | None
-"""Which effects of the catalogue act; None: all do."""
+"""Which effects of the catalogue act; None: all."""
 
 
 class Slot(NamedTuple):
-    """One constant of one effect at one site: a place in the vector theta."""
+    """One constant of one effect at one site: one entry of the vector theta."""
 
-    effect: int  # in the catalogue
+    effect: int  # index in the catalogue
     constant: int
     site: int
 
 
 @dataclass(frozen=True)
 class Augmented:
-    """`simulator` with theta, a vector of the internal constants of all effects at all sites; nil at zero.
+    """`simulator` with theta, the vector of the internal constants of all effects at all sites. At zero, none acts.
 
-    only: the effects (indices in the catalogue) that it has laws for; None: all, each switched by `active`.
+    only: indices in the catalogue of the effects whose laws it has. None: it has all, each switched by `active`.
     """
 
     simulator: StepModel | Engine
@@ -49,7 +49,10 @@ class Augmented:
 
     @cached_property
     def catalogue(self) -> tuple[Effect, ...]:
-        """The effects that this simulator may lack; what an engine can express it expresses itself."""
+        """The effects that this simulator may lack.
+
+        For an engine, its own terms replace the effects with the same id, and `coarse` effects are left out.
+        """
         if not is_engine(self.simulator):
             return CATALOGUE
         own = effects_of(self.simulator)
@@ -62,12 +65,12 @@ class Augmented:
 
     @cached_property
     def sites(self) -> tuple[tuple[Site, ...], ...]:
-        """Sites of every effect of the catalogue; none where it does not apply to this simulator."""
+        """Sites of every effect of the catalogue; empty where the effect does not apply to this simulator."""
         return tuple(effect.sites(self.layout) for effect in self.catalogue)
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """What each entry of theta is."""
+        """Effect, constant and site of each entry of theta."""
         return tuple(
             Slot(e, k, s)
             for e, effect in enumerate(self.catalogue)
@@ -77,18 +80,18 @@ class Augmented:
 
     @cached_property
     def index(self) -> dict[Slot, int]:
-        """Where each constant stands in theta."""
+        """Index in theta of each constant."""
         return {slot: i for i, slot in enumerate(self.slots)}
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest internal values of theta."""
+        """Lower and upper bounds of theta."""
         constants = [self.catalogue[slot.effect].constants[slot.constant] for slot in self.slots]
         return np.array([c.low for c in constants]), np.array([c.high for c in constants])
 
     @cached_property
     def ranges(self) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """Least and greatest values of the parameters in 32 bits: none lies outside the range that is declared."""
+        """Lower and upper bounds of the parameters in 32 bits, rounded so that none lies outside the declared range."""
         low, high = np.array([(p.low, p.high) for p in self.simulator.parameters], float).reshape(-1, 2).T
         least, most = low.astype(np.float32), high.astype(np.float32)
         least = np.where(least < low, np.nextafter(least, np.float32(np.inf)), least)
@@ -97,33 +100,35 @@ class Augmented:
 
     @cached_property
     def nominal(self) -> Float[np.ndarray, " p"]:
-        """The parameters that the simulator is used with as it is."""
+        """Nominal parameters; the middle of the range where no nominal value is declared."""
         values = [(p.low + p.high) / 2 if p.nominal is None else p.nominal for p in self.simulator.parameters]
         return np.clip(np.array(values, np.float32), *self.ranges)
 
     @cached_property
     def effect_of(self) -> np.ndarray:
-        """Index in the catalogue of the effect that each entry of theta belongs to."""
+        """Index in the catalogue of the effect of each entry of theta."""
         return np.array([slot.effect for slot in self.slots], int)
 
     def lean(self, few: int, *thetas: Float[np.ndarray, "... P"]) -> "Augmented":
-        """A simulator with only the laws that have a constant other than zero in any of these; itself, where these
-        are more than a few. Each combination of effects is compiled anew, so this pays where few combinations occur."""
+        """A simulator with only the laws that have a nonzero constant in any of `thetas`; itself if more than `few` do.
+
+        Each combination of effects is compiled anew, so this pays off where few combinations occur.
+        """
         on = np.any(np.concatenate([theta.reshape(-1, len(self.slots)) for theta in thetas]) != 0, axis=0)
         acting = tuple(np.unique(self.effect_of[on]).tolist())
         return self if len(acting) > few else _with_laws(self.simulator, acting)
 
     def active(self, *thetas: Float[Array | np.ndarray, " P"]) -> Active:
-        """The effects that have a constant other than zero in any of these."""
+        """Which effects have a nonzero constant in any of `thetas`; None for a lean simulator, whose laws all act."""
         if self.only is not None:
             return None
         on = jnp.any(jnp.stack([jnp.asarray(theta) for theta in thetas]) != 0, axis=0)
         return jnp.zeros(len(self.catalogue), bool).at[self.effect_of].max(on)
 
     def laws(self, theta: Theta, active: Active, *places: str) -> list["Law"]:
-        """The effects of some places that have sites.
+        """The laws of these places that have sites, each with its constants.
 
-        Where theta is numpy's, effects whose constants are all zero are left out: they are nil.
+        Where theta is a numpy array, laws whose constants are all zero are left out.
         """
         found, start, known = [], 0, isinstance(theta, np.ndarray)
         for i, (effect, sites) in enumerate(zip(self.catalogue, self.sites, strict=True)):
@@ -142,17 +147,17 @@ def _with_laws(simulator: StepModel | Engine, only: tuple[int, ...]) -> Augmente
 
 
 class Law(NamedTuple):
-    """An effect with its constants; `on`: whether it acts, None for yes."""
+    """An effect with its constants. `on`: whether it acts; None: it does."""
 
     effect: Effect
     c: Float[Array, "k sites"]
     on: Bool[Array, ""] | None
 
     def __call__(self, nil: Any, *args: Any) -> Any:
-        """What the law makes of its arguments, `nil` where it does not act."""
+        """The law applied to its arguments; `nil` where it does not act."""
         return where(self.on, lambda: self.effect.law(self.c, *args), nil)
 
 
 def where(on: Bool[Array, ""] | None, value: Callable[[], Any], nil: Any) -> Any:
-    """The value where it is on, computed only there; `nil`, of the same shapes, elsewhere."""
+    """The value where `on` holds, computed only there; `nil`, of the same shapes, elsewhere. `on` of None holds."""
     return value() if on is None else jax.lax.cond(on, value, lambda: nil)

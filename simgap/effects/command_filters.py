@@ -1,7 +1,7 @@
-"""Laws on the way of a command that remember.
+"""Laws of the command path that have a memory.
 
-`law(c[k, sites], u, z, fading, span) -> (z, u)`: what it remembers, and the command that acts, during a share `span` of
-a row. For `fading` see `command_path`.
+`law(c[k, sites], u, z, fading, span) -> (z, u)`: the new memory, and the command that acts, for a share `span` of a
+row. For `fading` see `command_path`.
 """
 
 import jax
@@ -14,13 +14,13 @@ from simgap.types import StepModel
 
 _U = Float[Array, " u"]
 NEVER = 1e-6
-"""Fading of what forgets nothing, or nearly."""
+"""Fading of a system that forgets nothing, or almost nothing."""
 AT_ONCE = 4.0
-"""Greatest fading: a joint that follows nearly at once still takes a part of a row."""
+"""Greatest fading: even a joint that follows almost at once takes part of a row."""
 
 
 def fading_of(simulator: StepModel, layout: Layout, phi: Float[Array, " p"]) -> _U:
-    """-ln a of every command [u], by the response at rest of the velocity it drives; `NEVER` where it drives none."""
+    """-ln a of every command [u], 1 - a the response at rest of the velocity it drives; `NEVER` if it drives none."""
     rest = jnp.zeros(len(layout.schema.state)), jnp.zeros(len(layout.schema.command))
     response = jax.jacfwd(lambda u: simulator.step(phi, rest[0], u))(rest[1])
     kept = []
@@ -32,32 +32,32 @@ def fading_of(simulator: StepModel, layout: Layout, phi: Float[Array, " p"]) -> 
 
 
 def _beyond_one(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """(exp(x) - 1) / x - 1, by its series where that is rounding."""
+    """(exp(x) - 1) / x - 1; near zero by its series, as the formula would lose digits to rounding."""
     away = jnp.where(jnp.abs(x) < 0.1, 0.1, x)
     return jnp.where(jnp.abs(x) < 0.1, x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, jnp.expm1(away) / away - 1)
 
 
 def backlash(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U, span: float) -> tuple[_U, _U]:
-    """Play of gap c: the output is dragged along at the gap's ends."""
+    """Play of gap c: the command drags the output along at the ends of the gap."""
     z = jnp.clip(z, u - c[0] / 2, u + c[0] / 2)
     return z, z
 
 
 def rate_limit(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U, span: float) -> tuple[_U, _U]:
-    """A ramp from z towards u by 1/c a row: where it ends, and what it amounts to over the row, which acts.
+    """A ramp from z towards u by 1/c a row. Returns its end, and its equivalent constant command, which acts.
 
-    Both are u less a share of its change, so that without a limit they are u exactly.
+    Both are u minus a share of its change, so that without a limit they equal u exactly.
     """
     change = u - z
     rows = jnp.abs(change) * c[0] / span
     ended = jnp.maximum(rows, 1.0)
-    missed = lambda rows: _beyond_one(fading * rows) / jnp.expm1(fading)  # noqa: E731 # by a ramp of less than a row
+    missed = lambda rows: _beyond_one(fading * rows) / jnp.expm1(fading)  # noqa: E731 # by a ramp that ends within the row
     share = jnp.where(rows < 1, missed(jnp.minimum(rows, 1.0)), 1 - (1 - missed(1.0)) / ended)
     return u - change * (1 - 1 / ended), u - change * share
 
 
 def lag(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U, span: float) -> tuple[_U, _U]:
-    """First-order response with a time constant of c rows: where it ends, and what it amounts to over the row."""
+    """First-order response with a time constant of c rows. Returns its end, and its equivalent constant command."""
     rate = span / jnp.maximum(c[0], 1e-6)
     missed = jnp.where(c[0] > 0, (1 + _beyond_one(fading - rate)) / (1 + _beyond_one(fading)), 0.0)
     return u + jnp.where(c[0] > 0, jnp.exp(-rate), 0.0) * (z - u), u - missed * (u - z)

@@ -1,14 +1,15 @@
-"""Effects on the way from a command that is sent to the command that acts.
+"""Effects between the command that is sent and the command that acts.
 
 A law of place "command" is `law(c[k, sites], u, memory, row, layout) -> u`; those of place "filter" are in
 `command_filters`.
 
-A simulator holds a command for a row, a robot does not: it may change within. What acts is the constant command that
-leads to the same velocity at the row's end. There a joint that follows its command as a first-order system has
-forgotten more of what came early in the row: with v = a v + (1 - a) u over a row, a command at the time s of it, 0 to
-1, weighs as exp(fading s), fading = -ln a. Where nothing is forgotten, as with a force, that is the command's mean.
+A simulator holds a command for a whole row; on a robot the command may change within the row. What acts here is
+therefore the equivalent constant command: the one that leads to the same velocity at the end of the row. A joint that
+follows its command as a first-order system forgets more of what came early in the row. With v = a v + (1 - a) u over a
+row, the command at the time s of the row, 0 to 1, has the weight exp(fading s), fading = -ln a. Where nothing is
+forgotten, as with a force, the equivalent command is the mean.
 
-An engine takes commands in parts of a row: u is then [parts, u], and what acts in a part is the mean over it.
+An engine takes commands in parts of a row: u is then [parts, u], and the mean over each part acts.
 """
 
 from collections.abc import Callable
@@ -25,7 +26,7 @@ _U = Float[Array, " u"]
 
 
 def _delay(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
-    """u(t - d), d = c rows: first still the older of two rows' commands."""
+    """u(t - d), d = c rows. Early in a row the older of two commands still acts."""
     if u.ndim == 2:
         return _delay_in_parts(c, u, memory)
     whole = jnp.floor(c[0])
@@ -38,17 +39,17 @@ def _delay(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layo
 def _delay_in_parts(c: Float[Array, "1 u"], u: Float[Array, "parts u"], memory: Memory) -> Float[Array, "parts u"]:
     """u(t - d) in every part of the row.
 
-    What is sent changes within a part. Its mean over the part acts, which leads to the right velocity; what the mean
-    makes the position too great by, its first moment q about the part's middle, is taken back in this part and given
-    again in the next.
+    The delayed command may change within a part. Its mean over the part acts, which leads to the right velocity. The
+    mean leads to too great a position, by the first moment of the command about the middle of the part. So the moment
+    is subtracted in this part and added in the next.
     """
     parts = len(u)
-    # From the last part of the row before on, whose moment is given in the first part of this one.
+    # Starts with the last part of the previous row, whose moment is added in the first part of this row.
     begins = np.arange(-1, parts)[:, None] / parts - c[0]
     ends, middle = begins + 1 / parts, begins + 0.5 / parts
     mean, moment = u[0] + jnp.zeros_like(begins), jnp.zeros_like(begins)
     for k, older in enumerate(memory.commands, 1):
-        # The share of the part in which what was sent k rows ago acts; the oldest that is known acted ever before.
+        # Share of the part in which the command of k rows ago acts. The oldest known one acted at all earlier times.
         first = jnp.maximum(begins, -k) if k < len(memory.commands) else begins
         last = jnp.maximum(jnp.minimum(ends, 1 - k), first)
         share = parts * (last - first)
@@ -58,13 +59,13 @@ def _delay_in_parts(c: Float[Array, "1 u"], u: Float[Array, "parts u"], memory: 
 
 
 def _quantization(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
-    """Multiples of the step c."""
+    """u rounded to multiples of the step c."""
     step = jnp.where(c[0] > 0, c[0], 1.0)
     return jnp.where(c[0] > 0, jnp.round(u / step) * step, u)
 
 
 def _deadband(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
-    """Nothing below the width c, the rest shifted by it."""
+    """Zero below the width c; beyond it, u reduced by c."""
     return u - jnp.clip(u, -c[0], c[0])
 
 
@@ -87,7 +88,7 @@ def _gain_drift(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout:
 
 
 def _saturation(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
-    """u within +-1/c."""
+    """u clipped to +-1/c."""
     return u / jnp.maximum(1.0, jnp.abs(u) * c[0])
 
 
@@ -146,7 +147,10 @@ def _fractions(*fractions: float):
 
 
 def _reciprocals(usual: Callable[[Scales], np.ndarray], *fractions: float):
-    """Of fractions of what is usual in the channel; beyond it too, where few rows feel a limit, but strongly."""
+    """Starting values: reciprocals of fractions of the channel's usual value.
+
+    Fractions above 1 are included: such a limit affects few rows, but strongly.
+    """
     return lambda scales, site: [[1 / (f * float(usual(scales)[site]))] for f in fractions]
 
 

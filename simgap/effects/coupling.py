@@ -30,7 +30,7 @@ def _mounted_sites(layout: Layout) -> tuple[Site, ...]:
 
 
 def _arm_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The carrier's -c (w' - w): reaction to the mounted body's acceleration w relative to it."""
+    """Push on the carrier, -c (w' - w), w the mounted body's relative velocity: reaction to its acceleration."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         change = step.then.velocity[b, :2] - step.now.velocity[b, :2]
@@ -39,7 +39,7 @@ def _arm_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]
 
 
 def _arm_velocity(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The carrier's -c w: it gives way in proportion to the mounted body's velocity."""
+    """Push on the carrier, -c w: it gives way in proportion to the mounted body's relative velocity."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         out = out - on_body(step.layout, carrier, X, c[0, k] * step.then.velocity[b, :2])
@@ -47,7 +47,7 @@ def _arm_velocity(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def _arm_moment(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The carrier's yaw -c (r x (w' - w)): moment of the mounted body's acceleration."""
+    """Yaw push on the carrier, -c (r x (w' - w)): moment of the mounted body's acceleration."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         change, arm = step.then.velocity[b] - step.now.velocity[b], step.now.position[b]
@@ -56,7 +56,7 @@ def _arm_moment(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def _base_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The mounted body's -c (V' - V): it stays behind its carrier's acceleration at its place."""
+    """Push on the mounted body, -c (V' - V), V the carrier's velocity at its place: it lags behind the acceleration."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         arm = step.now.position[b]
@@ -66,7 +66,7 @@ def _base_acceleration(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"
 
 
 def _induced(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The mounted body's c w x r: the share of the velocity that turning induces which the simulator lacks."""
+    """Push on the mounted body, c w x r: the share of the velocity induced by turning that the simulator lacks."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         arm = step.now.position[b]
@@ -76,7 +76,7 @@ def _induced(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def _centripetal(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """The mounted body's c w^2 r, outwards."""
+    """Push on the mounted body, c w^2 r, outwards."""
     out = jnp.zeros_like(step.now.velocity)
     for k, (b, carrier) in enumerate(_carriers(step.layout)):
         omega = step.then.velocity[carrier, YAW]
@@ -85,7 +85,7 @@ def _centripetal(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def _rotation_centre(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
-    """w x (-c): a body that turns about the point c of its own frame."""
+    """Push w x (-c): the body turns about the point c of its own frame."""
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(turning(step.layout)):
         omega = step.then.velocity[b, YAW]

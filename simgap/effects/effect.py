@@ -1,8 +1,8 @@
-"""What an effect of the vocabulary is: a law that a simulator lacks, nil where its constants are zero.
+"""What an effect of the catalogue is: a law that a simulator may lack, without effect where its constants are zero.
 
-A law acts at one of seven places of a simulated step (see `augmented.advance`), and an augmented simulator applies all
-laws of the catalogue at all their sites, each with its constants; the bare simulator is the one with all constants
-zero. Internal constants are chosen so: a limit is held as its reciprocal.
+A law acts at one of seven places of a simulated step (see `step.advance`). An augmented simulator applies all laws of
+the catalogue at all their sites, each with its constants; with all constants zero it is the bare simulator. Internal
+constants are chosen so that this holds: a limit, for example, is stored as its reciprocal.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,8 @@ from simgap.layout import Layout
 
 Place = Literal["command", "filter", "before", "engine", "push", "after", "sensing"]
 Bend = Literal["past", "command", "speed", "place"]
-"""In what a law's true form may differ from its form in the catalogue: in its memory, or by how it depends on the
-command, the speed or the position where it acts."""
+"""How a law's true form may differ from its form in the catalogue: in its memory, or in how it depends on the command,
+the speed or the position where it acts."""
 _BENDS: dict[str, tuple[Bend, ...]] = {
     "command": ("command",),
     "filter": ("past",),
@@ -29,16 +29,16 @@ _BENDS: dict[str, tuple[Bend, ...]] = {
     "engine": ("past", "speed", "place"),
 }  # fmt: skip
 HISTORY_ROWS = 8
-"""Past commands an augmented simulator remembers: the longest dead time, in rows."""
+"""Past commands that an augmented simulator remembers: the longest dead time, in rows."""
 SENSED_ROWS = 4
-"""Past states it remembers: the oldest a measured output can be, in rows."""
+"""Past states that it remembers: the longest delay of a measured output, in rows."""
 
 
 class Memory(NamedTuple):
-    """What an augmented simulator remembers beyond the state.
+    """What an augmented simulator remembers apart from the state.
 
-    commands[k]: sent k + 1 rows ago. filters: what every law of place "filter" remembers, by key. states[k]: the
-    state k + 1 rows ago. fading: how fast a row forgets what came early in it, per command (`command_path.fading_of`).
+    commands[k]: sent k + 1 rows ago. filters: the memory of every law of place "filter", by key. states[k]: the state
+    k + 1 rows ago. fading: how fast the early part of a row is forgotten, per command (`command_filters.fading_of`).
     """
 
     commands: Float[Array, "h u"]
@@ -48,8 +48,8 @@ class Memory(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row besides its state and command: session time [s], interval over the nominal one [-], and the table of an
-    engine for this row, if there is one."""
+    """A row apart from its state and command: session time [s], interval divided by the nominal one [-], and an
+    engine's table for this row, if there is one."""
 
     time_s: Float[Array, ""]
     interval: Float[Array, ""]
@@ -57,15 +57,15 @@ class Row(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Magnitudes of the recordings at hand, for starting values and for what the laws refer to.
+    """Magnitudes of the recordings: for starting values, and for what the laws refer to.
 
-    command, command_step: 95th percentile of |u| and of |u_t - u_{t-1}| where it moves, per channel. speed: of the
-    bodies' own velocities [b, 4]; axis_speed, axis_command: of the velocity and the command (or velocity) at each axis
-    site; where a command is always zero, the one that changes the velocity by as much as it changes. reach: quantiles
-    0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies `reaching` [n, 21]; height: of z, of the
-    bodies `floored` [n, 21]. interval: time [s] by which each position integrates its velocity. output: 95th percentile
-    of |output| less its median. duration: of the longest session [s]. time_step [s]. None but speed, reach, height and
-    interval is zero.
+    command, command_step: 95th percentile of |u| and of |u_t - u_{t-1}| where it moves, per channel. speed: the same
+    of the bodies' own velocities [b, 4]. axis_speed, axis_command: the same of the velocity and of the command (or
+    velocity) at each axis site; for a command that is always zero, the command that would change the velocity as much
+    as it changes. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies
+    `reaching` [n, 21]. height: the same of z, of the bodies `floored` [n, 21]. interval: time [s] over which each
+    position integrates its velocity. output: 95th percentile of |output - median|. duration: of the longest session
+    [s]. time_step [s]. Only speed, reach, height and interval can be zero.
     """
 
     command: np.ndarray
@@ -82,8 +82,8 @@ class Scales(NamedTuple):
 
 
 class Site(NamedTuple):
-    """Where an effect can act: its name, the commands and outputs concerned, and the family of sites it is tied in, in
-    which those of one branch may be tied as well."""
+    """Where an effect can act: its name, the commands and outputs concerned, its family and its unit. Sites of one
+    family may share constants; so may those of one branch within a family."""
 
     name: str
     channels: tuple[str, ...]
@@ -95,12 +95,12 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True)
 class Constant:
-    """One constant: name, unit (`{u}`: the site's own unit), and its physical value from the internal one.
+    """One constant: name, unit (`{u}`: the unit of the site), and its physical value from the internal one.
 
-    `physical(c, index of the site, scales)`. `low`, `high` bound the internal value. `shapes`: it says how the other
-    constants act (from when on) and does nothing by itself. reciprocal: the internal value is one over a limit, so that
-    the smaller it is the wider the limit. credible(index of the site, scales): a size of the internal
-    value beyond which the effect is but a word for something else.
+    `physical(c, index of the site, scales)`. `low`, `high`: bounds of the internal value. `shapes`: it shapes how the
+    other constants act (such as an onset) and does nothing by itself. reciprocal: the internal value is one over a
+    limit; the smaller it is, the wider the limit. credible(index of the site, scales): size of the internal value
+    beyond which the estimate is not physically plausible.
     """
 
     name: str
@@ -115,16 +115,16 @@ class Constant:
 
 @dataclass(frozen=True)
 class Effect:
-    """A law of the vocabulary.
+    """A law of the catalogue.
 
-    id: the vocabulary's. form: which of several laws of one id. sites(layout): where it can act. starts(scales, site):
-    internal constants [k] to begin a search at. tie: whether the sites of a family may share their constants ("never";
-    "same_unit": alike axes; "any"). lasts: what a filter remembers outlasts any rest; it hangs on where commands
-    turned, not on how long ago. jagged: the likelihood has many summits along the constant. basins: it has a few; the
-    simulator's parameters lead to one with too small a constant, so that fits begin at all starts. event: it acts
-    during a stretch of one session. coarse: it is about steps as long as a row, which an engine cuts into many. law:
-    see the module of its place. says: a sentence for people, with the constants' names to fill in. bends: see `Bend`;
-    those usual of its place, unless given.
+    id: name of the effect. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
+    site): internal constants [k] to start a search from. law: see the module of its place. says: a sentence for
+    people, with the names of the constants in braces. tie: whether the sites of a family may share constants ("never";
+    "same_unit": sites of one unit; "any"). lasts: a filter's memory outlasts any rest; it depends on where commands
+    turned, not on how long ago. jagged: the likelihood has many local maxima along the constant. basins: it has a few;
+    the simulator's parameters lead to one with too small a constant, so fits start from all of `starts`. event: it
+    acts in a window of one session. coarse: it concerns steps as long as a row, which an engine divides into many.
+    bends: see `Bend`; by default those of its place.
     """
 
     id: str
@@ -148,15 +148,15 @@ class Effect:
 
     @property
     def key(self) -> str:
-        """id and form."""
+        """The id, and the form where it has one."""
         return f"{self.id}.{self.form}" if self.form else self.id
 
 
 class Step(NamedTuple):
-    """What a push can look at: the motion now, the motion the simulator expects, command and layout.
+    """What the law of a push can use: the motion now, the motion that the simulator expects, command and layout.
 
-    response(): change of the expected own velocity per unit of push, by body and axis. own(): the motion that is
-    expected of bodies which remember their own velocity alone, not what carriers add. Each takes a step of its own.
+    response(): change of the expected own velocity per unit of push, by body and axis. own(): the expected motion of
+    bodies that remember only their own velocity, not what carriers add. Each call computes one more simulator step.
     """
 
     now: Motion
@@ -196,7 +196,7 @@ def axis_sites(layout: Layout) -> tuple[Site, ...]:
 
 
 def _unit_of_push(layout: Layout, b: int, a: int) -> str:
-    """That of the command in which a push enters; of the velocity, where there is none."""
+    """Unit of the command in which a push enters; of the velocity, where there is none."""
     column = layout.command[b, a]
     return layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
 
@@ -237,13 +237,13 @@ def floored(layout: Layout) -> list[int]:
 
 
 def usual_push(layout: Layout, scales: Scales) -> Float[Array, "b 1"]:
-    """The size of pushes of each body: of its greatest usual command."""
+    """Usual size of a push on each body: its largest usual command."""
     bodies = np.array([b for b, _ in axis_indices(layout)], int)
     size = jnp.zeros(len(layout.bodies)).at[bodies].max(jnp.asarray(scales.axis_command))
     return jnp.where(size > 0, size, 1.0)[:, None]
 
 
 def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:
-    """Values given per axis site, as a table of bodies x axes."""
+    """Values per axis site as a table of bodies x axes."""
     places = zip(values, axis_indices(layout), strict=True)
     return sum((on_body(layout, b, a, value) for value, (b, a) in places), jnp.zeros((len(layout.bodies), 4)))

@@ -1,4 +1,4 @@
-"""Effects that an engine expresses itself: one for every kind of term that it can switch on.
+"""Effects that an engine computes itself: one for each kind of term that it can switch on.
 
 `law(c[1, sites]) -> values of the engine's terms [k]`.
 """
@@ -15,7 +15,7 @@ from simgap.engines import Engine, Term
 
 @cache
 def effects_of(engine: Engine) -> tuple[Effect, ...]:
-    """An effect for every id among the engine's terms, whose sites are the places of the terms."""
+    """One effect for each id among the engine's terms; its sites are where the terms act."""
     ids = dict.fromkeys(term.effect for term in engine.terms)
     return tuple(_effect(engine, id) for id in ids)
 

@@ -1,4 +1,4 @@
-"""Loads and pushes that come from weight, ground and surroundings. `law(c[k, sites], step) -> push[b, 4]`."""
+"""Loads and pushes from weight, ground and surroundings. `law(c[k, sites], step) -> push[b, 4]`."""
 
 import math
 
@@ -23,7 +23,7 @@ from simgap.layout import YAW, Layout, X, Y, Z
 
 
 def _lifted(layout: Layout) -> list[int]:
-    """Mounted bodies that can sink."""
+    """Mounted bodies with a vertical velocity: they can sink."""
     return [b for b in mounted(layout) if layout.velocity[b, Z] >= 0]
 
 
@@ -32,7 +32,7 @@ def _distance(xy: Float[Array, " 2"]) -> Float[Array, ""]:
 
 
 def _sag(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """-c r along z, r the horizontal reach."""
+    """-c r along z, where r is the horizontal reach."""
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(_lifted(step.layout)):
         out = out - on_body(step.layout, b, Z, c[0, k] * _distance(step.now.position[b, :2]))
@@ -41,7 +41,7 @@ def _sag(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
 
 def _payload(inherited: bool):
     def law(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
-        """From the onset c_2 on: -c_0 (u - v), v the hand's own velocity, and what carries it; and -c_1 along z."""
+        """From the onset c_2 on: -c_0 (u - v), and -c_1 along z; v: own velocity, plus the carrier's if inherited."""
         now, layout = step.now, step.layout
         out = jnp.zeros_like(now.velocity)
         for k, b in enumerate(_lifted(layout)):
@@ -58,7 +58,7 @@ def _payload(inherited: bool):
 
 
 def _slope(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
-    """|v_xy| R(heading)^T (c_0, c_1): a pull in a fixed world direction in proportion to walking."""
+    """|v_xy| R(heading)^T (c_0, c_1): a pull in a fixed world direction, proportional to the walking speed."""
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(turning(step.layout)):
         angle = step.now.heading[b]
@@ -69,12 +69,12 @@ def _slope(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def _bias(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """c, in the body's own frame, or on the joint."""
+    """A constant push c, in the body's own frame or on the joint."""
     return on_axes(step.layout, c[0])
 
 
 def _external(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
-    """R(heading)^T c_0 (cos c_1, sin c_1): along a direction of the world's."""
+    """R(heading)^T c_0 (cos c_1, sin c_1): a push in a fixed world direction."""
     out = jnp.zeros_like(step.now.velocity)
     for k, b in enumerate(_pushable(step.layout)):
         along = c[1, k] - step.now.heading[b]
@@ -100,7 +100,7 @@ def _pushable_sites(layout: Layout) -> tuple[Site, ...]:
 
 
 def _directions(scales: Scales, site: int) -> list[list[float]]:
-    """All round, in steps of 60 degrees: from the nearest of them on, the direction is fitted."""
+    """Directions all round, in steps of 60 degrees; the fit starts from the nearest."""
     return [[0.1, k * math.pi / 3] for k in range(-2, 4)]
 
 

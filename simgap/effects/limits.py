@@ -1,4 +1,4 @@
-"""Limits of where a body can go."""
+"""Limits on where a body can go."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,14 +9,14 @@ from simgap.kinematics import commanded, on_body, substituted
 from simgap.layout import Layout, X, Y, Z
 
 FURTHER = (0.15, 0.3, 0.5, 0.75)
-"""Shares of the way from what is usual to the extreme at which a limit that few rows reach may stand."""
+"""Starting values of a limit that few rows reach: shares of the way from the usual reach to the largest."""
 SOFT = 0.02
-"""Share of the reach over which commands fade at the limit, for a law with a slope."""
+"""Share of the reach over which commands fade out at the limit, so that the law is differentiable."""
 
 
 def _outward(axes: int):
     def law(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-        """Less the outward part of the command where the distance exceeds 1/c."""
+        """Cancels the outward part of the command where the distance exceeds 1/c."""
         out = jnp.zeros_like(step.now.velocity)
         for k, b in enumerate(reaching(step.layout)):
             arm = step.now.position[b, :axes]
@@ -30,7 +30,7 @@ def _outward(axes: int):
 
 
 def _reaches(scales: Scales, site: int) -> list[list[float]]:
-    """At quantiles, and between the last of them and the furthest recorded, where few rows are."""
+    """Starting values at quantiles of the reach, and between the last of these and the largest, where rows are few."""
     within = [float(scales.reach[site, q]) for q in (9, 13, 16, 18, 19)]
     beyond = float(scales.reach[site, 20]) - within[-1]
     return [[1 / max(reach, 1e-3)] for reach in (*within, *(within[-1] + share * beyond for share in FURTHER))]
@@ -39,7 +39,7 @@ def _reaches(scales: Scales, site: int) -> list[list[float]]:
 def _contact(
     c: Float[Array, "1 n"], state: Float[Array, " s"], then: Float[Array, " s"], layout: Layout, scales: Scales, row
 ) -> Float[Array, " s"]:
-    """z >= a depth out of reach + c, and no velocity into the ground."""
+    """z >= `_depth` + c, and no velocity into the ground."""
     for k, b in enumerate(floored(layout)):
         z, vz = (int(table[b, Z]) for table in (layout.position, layout.velocity))
         floor = jnp.where(c[0, k] > 0, _depth(scales, k) + c[0, k], -jnp.inf)
@@ -51,7 +51,7 @@ def _contact(
 
 
 def _depth(scales: Scales, site: int) -> Float[np.ndarray, ""]:
-    """As far below the lowest recorded height as that is below the highest: a floor there is as good as none."""
+    """As far below the lowest recorded height as that is below the highest: a floor there has no effect."""
     return 2 * scales.height[site, 0] - scales.height[site, -1]
 
 

@@ -1,4 +1,4 @@
-"""In which regime an effect acts: where what the robot does, or is commanded to do, lies above or below an edge."""
+"""Regimes in which an effect acts: a feature of the robot's motion or command lies above or below an edge."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from simgap.layout import YAW, Layout, Z
 
 
 class Regime(NamedTuple):
-    """Where the feature of this number lies above an edge (side 1) or below it (side -1)."""
+    """Rows whose feature with this index lies above an edge (side 1) or below it (side -1)."""
 
     feature: int
     side: float
@@ -23,7 +23,7 @@ EVERYWHERE = Regime(0, 1.0, -np.inf)
 
 
 class Acting(NamedTuple):
-    """Internal constants of all effects at all sites, and by how much they differ in each of S regimes."""
+    """Internal constants of all effects at all sites, and how much they change in each of S regimes."""
 
     theta: Float[np.ndarray, " P"]
     delta: Float[np.ndarray, "S P"]
@@ -36,7 +36,7 @@ def everywhere(theta: Float[np.ndarray, " P"]) -> Acting:
 
 
 class Feature(NamedTuple):
-    """What regimes are described by, its unit, and its value in a row, of the bodies' own motion, state and command."""
+    """A quantity that defines regimes: name, unit, and value in a row, from the own motion, state and command."""
 
     name: str
     unit: str
@@ -44,10 +44,10 @@ class Feature(NamedTuple):
 
 
 def features(layout: Layout) -> list[Feature]:
-    """Speed, yaw rate, reach and height of every body that has them, and every command and its size.
+    """Speed, yaw rate, reach and height of every body that has them, and every command and its absolute value.
 
-    What turns about one axis and does nothing else, such as a joint, has a speed and no yaw.
-    The own speed of a body that another carries is that beside the other's.
+    A body that only turns about one axis, such as a joint, has a speed and no yaw rate. The own speed of a mounted
+    body is relative to its carrier.
     """
     return [*(f for b in range(len(layout.bodies)) for f in _of_body(layout, b)), *_of_commands(layout)]
 
@@ -87,6 +87,6 @@ def holds(layout: Layout, regime: Regime, state: Float[Array, " s"], command: Fl
 
 
 def words(layout: Layout, regime: Regime) -> str:
-    """As a rule: `reach > 0.93 m`."""
+    """The regime as a rule, such as `reach > 0.93 m`."""
     feature = features(layout)[regime.feature]
     return f"{feature.name} {'>' if regime.side > 0 else '<'} {regime.edge:.3g} {feature.unit}"

@@ -9,10 +9,10 @@ from simgap.layout import YAW, X, Y
 
 
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """-c sign(v'), or what stops the motion within the step where c suffices for that: it sticks.
+    """-c sign(v'), or the push that stops the motion within the step where c suffices for that: the body sticks.
 
-    v' is what the body's own drive makes it move by: a simulator whose velocity memory holds the carrier's motion would
-    have an arm at rest on a walking base slide in its joints.
+    v' is the motion that the body's own drive causes. Otherwise, where a simulator's velocity memory includes the
+    carrier's motion, an arm at rest on a walking base would slide in its joints.
     """
     response = step.response()
     stops = step.own().velocity / jnp.where(response != 0, response, jnp.inf)
@@ -49,7 +49,7 @@ def _slip_walking(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
 
 
 def speed(v: Float[Array, " 4"]) -> Float[Array, ""]:
-    """Horizontal speed, with a gradient at rest."""
+    """Horizontal speed, differentiable at rest."""
     return jnp.sqrt(v[X] ** 2 + v[Y] ** 2 + 1e-8)
 
 
@@ -58,7 +58,7 @@ def _bodies(axes: tuple[int, ...]):
 
 
 def _small(fraction: float, power: int):
-    """A resistance of a fraction of the axis' usual speed, at that speed."""
+    """Starting value: the resistance at the axis' usual speed is a fraction of its usual command."""
 
     def starts(scales: Scales, site: int) -> list[list[float]]:
         return [[fraction * float(scales.axis_command[site]) / float(scales.axis_speed[site]) ** power]]
@@ -67,7 +67,7 @@ def _small(fraction: float, power: int):
 
 
 def _usual_command(site: int, scales: Scales) -> float:
-    """Where so much is lost, hardly anything that is commanded would move at all."""
+    """With a greater loss, hardly any command would move the axis."""
     return float(scales.axis_command[site])
 
 

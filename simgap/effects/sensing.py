@@ -1,4 +1,4 @@
-"""What the sensors make of the state. `law(c[k, sites], state, past_states, row, layout) -> measured`."""
+"""What sensors measure of the state. `law(c[k, sites], state, past_states, row, layout) -> measured`."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,7 @@ def _output_sites(layout: Layout) -> tuple[Site, ...]:
 
 
 def _sensors(layout: Layout) -> list[tuple[str, list[int]]]:
-    """Outputs that one sensor is likely to give: a body's pose, a body's velocities, or one output by itself."""
+    """Groups of outputs that one sensor probably gives: a body's pose, a body's velocities, or a single output."""
     groups: dict[str, list[int]] = {}
     for i, f in enumerate(layout.schema.outputs):
         what = "velocity" if f.kind == "velocity" else "pose"
@@ -33,11 +33,11 @@ def _sensor_sites(layout: Layout) -> tuple[Site, ...]:
 
 
 def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row: Row, layout: Layout) -> Array:
-    """The state c rows ago, between two rows in proportion."""
+    """The state c rows ago, interpolated linearly between rows."""
     delay = jnp.zeros(len(layout.schema.state))
     for k, (_, members) in enumerate(_sensors(layout)):
         delay = jnp.where(np.isin(np.arange(len(delay)), members), c[0, k], delay)
-    # A sum in Python: as one array, reduced, it takes XLA ten times as long.
+    # A sum in Python: XLA takes ten times as long to reduce one array.
     since = (jnp.maximum(0.0, 1 - jnp.abs(k - delay)) * wrapped(layout, then - state) for k, then in enumerate(past, 1))
     return state + sum(since)
 
@@ -58,12 +58,12 @@ def _drift(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: 
 
 
 def padded(c: Float[Array, " o"], state: Float[Array, " s"]) -> Float[Array, " s"]:
-    """Constants of the outputs, with zeros for the states that are not observed, which come last."""
+    """Constants of the outputs, padded with zeros for the states that are not observed, which come last."""
     return c if len(c) == len(state) else jnp.pad(c, (0, len(state) - len(c)))
 
 
 def _drifting(scales: Scales, site: int) -> list[list[float]]:
-    """As much over the longest session as a bias that is looked for."""
+    """Starting value: over the longest session, the drift amounts to the starting value of a bias."""
     return [[0.05 * float(scales.output[site]) * 60 / max(scales.duration, 1e-9)]]
 
 

@@ -1,4 +1,4 @@
-"""One step of the augmented simulator: command path, memory, motion, and what sensors make of it."""
+"""One step of the augmented simulator: command path, memory, motion, and sensors."""
 
 from collections.abc import Sequence
 
@@ -25,10 +25,10 @@ def remember(
     turns: Float[Array, "m u"] | None = None,
     active: Active = None,
 ) -> Memory:
-    """Memory at a start: `past[k]` was sent k + 1 rows ago, n > HISTORY_ROWS; the state has been what it is.
+    """Memory at a start. `past[k]` was sent k + 1 rows ago, n > HISTORY_ROWS; past states are taken to equal `state`.
 
-    Play and lags remember long: the command path runs over all past commands first. `turns`: where each command turned
-    before that, the latest first, for filters that outlast a rest; without it none did.
+    Play and lags remember long, so the command path first runs over all past commands. `turns`: values at which each
+    command turned before these, the latest first, for filters that outlast a rest; None: it never turned.
     """
     filters = augmented.laws(theta, active, "filter")
     sent = past[::-1]
@@ -45,7 +45,7 @@ def remember(
         return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
 
     def held(memory: Memory, turned: Float[Array, "m u"]) -> Memory:
-        # Each is taken to have been held, so that dead time does not matter.
+        # Each value is taken to have been held, so that dead time does not matter.
         still = lambda m, u: m._replace(commands=jnp.tile(u, (HISTORY_ROWS, 1)))  # noqa: E731
         step = lambda m, u: (follow(augmented, theta, still(m, u), u, row, active)[0], None)  # noqa: E731
         return jax.lax.scan(step, memory, turned)[0]
@@ -65,7 +65,7 @@ def remember(
 
 
 def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
-    """Whether one of them acts, None for yes."""
+    """Whether any of the laws acts; None: they all do."""
     switches = [law.on for law in laws if law.on is not None]
     return jnp.stack(switches).any() if switches else None
 
@@ -78,10 +78,10 @@ def follow(
     row: Row,
     active: Active = None,
 ) -> tuple[Memory, Float[Array, "... u"]]:
-    """The command that acts, and the memory with the command sent in it: places "command" and "filter".
+    """The memory with the sent command in it, and the command that acts: places "command" and "filter".
 
-    The catalogue's order: dead time first, then what the actuators make of the command, their limits last. For an
-    engine, the commands that act in the parts of the row.
+    Laws act in the order of the catalogue: dead time first, then the actuators' response, their limits last. For an
+    engine, returns the commands that act in the parts of the row.
     """
     parts, filters = parts_of(augmented), dict(memory.filters)
     u = command if parts is None else jnp.tile(command, (parts, 1))
@@ -97,7 +97,7 @@ def follow(
 def _filtered(
     law: Law, u: Float[Array, "... u"], z: Float[Array, " u"], fading: Float[Array, " u"]
 ) -> tuple[Float[Array, " u"], Float[Array, "... u"]]:
-    """What a filter remembers and the command that acts, part after part where a row has several."""
+    """A filter's new memory and the command that acts; part by part where a row has several."""
     if u.ndim == 1:
         return law((u, u), u, z, fading, 1.0)
     acting = []
@@ -120,9 +120,9 @@ def advance(
 ) -> tuple[Memory, Float[Array, " s"]]:
     """The next state and memory.
 
-    Command path (`follow`), then what velocity is remembered ("before"), the simulator's own step with the terms of an
-    engine ("engine"), the pushes that the motion before and after it causes ("push"), the step again with them, and how
-    positions advance and what stops them ("after").
+    In order: the command path (`follow`); which velocity is remembered ("before"); the simulator's own step, with the
+    terms of an engine ("engine"); the pushes, from the motion before and after that step ("push"), and the step again
+    with them; how positions advance and what stops them ("after").
     """
     layout = augmented.layout
     memory, u = follow(augmented, theta, memory, command, row, active)
@@ -142,10 +142,10 @@ def advance(
             return pushed_state(augmented, start, given, now.heading, delta)
 
         def response() -> Float[Array, "b 4"]:
-            # Of the usual size: in other units a push of one is nothing beside the velocity's rounding.
+            # A push of the usual size: in some units a push of one would be lost in the rounding of the velocity.
             size = usual_push(layout, scales)
             moved, _ = with_push(size * jnp.ones_like(nil))
-            # The frames stay: a push that turns a body is none along its other axes.
+            # Frames are held fixed: a push that turns a body must not count along its other axes.
             for heading in {h for h in layout.heading if h is not None}:
                 moved = substituted(moved, heading, then[heading])
             return (motion(layout, moved).velocity - expected.velocity) / size
@@ -169,7 +169,7 @@ def advance(
 def sense(
     augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], row: Row, active: Active = None
 ) -> Float[Array, " s"]:
-    """What is measured of a state, given the states before it; `row` is its own."""
+    """What is measured of a state, given the states before it; `row` is that of the state."""
     for law in augmented.laws(theta, active, "sensing"):
         state = law(state, state, memory.states, row, augmented.layout)
     return state
@@ -178,7 +178,7 @@ def sense(
 def unsense(
     augmented: Augmented, theta: Theta, measured: Float[Array, " s"], time_s: Float[Array, ""]
 ) -> Float[Array, " s"]:
-    """The state at rest that gives a measurement: inverse of bias, its drift, and scale."""
+    """The state at rest that gives a measurement: inverts bias, its drift, and scale."""
     found = {law.effect.key: law.c[0] for law in augmented.laws(theta, None, "sensing")}
 
     def of(key: str) -> Float[Array, " s"] | float:

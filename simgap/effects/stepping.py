@@ -1,6 +1,6 @@
-"""The next state of a simulator: a function of JAX's, or an engine, as tabulated or itself.
+"""The next state of a simulator: a JAX function, or an engine, either tabulated or called directly.
 
-The one place where these differ: pushes enter the commands and velocities of the one, and are forces on the other.
+Only here do they differ: pushes enter the commands and velocities of a function, but are forces on an engine.
 """
 
 from functools import partial
@@ -23,7 +23,7 @@ def parts_of(augmented: Augmented) -> int | None:
 
 
 def terms_of(augmented: Augmented, theta: Theta, active: Active = None) -> Float[Array, " k"] | None:
-    """Values of an engine's terms; None where the simulator has none."""
+    """Values of an engine's terms; None where the simulator is no engine."""
     if not is_engine(augmented.simulator):
         return None
     nil = jnp.zeros(len(augmented.simulator.terms))
@@ -31,8 +31,8 @@ def terms_of(augmented: Augmented, theta: Theta, active: Active = None) -> Float
 
 
 class Given(NamedTuple):
-    """What a step depends on besides the state: parameters, the command that acts (for an engine in the parts of the
-    row), and of an engine what it does near by, where it is tabulated, and the values of its terms."""
+    """What a step depends on apart from the state: parameters and the command that acts (for an engine, in the parts of
+    the row); for an engine also its table for this row, where it is tabulated, and the values of its terms."""
 
     phi: Float[Array, " p"]
     command: Float[Array, "... u"]
@@ -41,7 +41,7 @@ class Given(NamedTuple):
 
 
 def next_state(augmented: Augmented, state: Float[Array, " s"], given: Given) -> Float[Array, " s"]:
-    """The next state where nothing pushes."""
+    """The next state without pushes."""
     if not is_engine(augmented.simulator):
         return augmented.simulator.step(given.phi, state, given.command)
     return _engine(augmented.simulator, state, given, jnp.zeros(len(efforts(augmented.layout))))
@@ -54,7 +54,7 @@ def pushed_state(
     heading: Float[Array, " b"],
     delta: Float[Array, "b 4"],
 ) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
-    """The next state with a push on each body, in its own frame, and its part that is a position's rate [1/step]."""
+    """The next state with a push on each body, in its own frame, and its part that is a position rate [1/s]."""
     if is_engine(augmented.simulator):
         where = efforts(augmented.layout)
         effort = jnp.stack([delta[b, a] for b, a in where]) if where else jnp.zeros(0)
@@ -73,7 +73,7 @@ def efforts(layout: Layout) -> list[tuple[int, int]]:
 
 def _engine(engine: Engine, state: Float[Array, " s"], given: Given, effort: Float[Array, " a"]) -> Float[Array, " s"]:
     phi, command, table, terms = given
-    assert terms is not None  # an engine has terms, if only none of them
+    assert terms is not None  # an engine always has terms, if only an empty array
     if table is not None:
         return (
             jnp.asarray(table.then)
@@ -91,7 +91,7 @@ def _engine(engine: Engine, state: Float[Array, " s"], given: Given, effort: Flo
 
 
 def _rows(engine: Engine, *given: np.ndarray) -> np.ndarray:
-    """The engine's rows; what is the same for all is given once, along an axis of length one."""
+    """The engine's rows. What is the same for all rows is given once, along an axis of length one."""
     phi, *batched = (np.asarray(a, np.float64) for a in given)
     if batched[1].ndim == 1:
         return engine.rows(phi, *(a[None] for a in batched))[0].astype(np.float32)

@@ -1,4 +1,4 @@
-"""How a step advances: which velocity the positions follow, over which interval, and in which frame velocity lasts.
+"""How a step advances: which velocity positions integrate, over which interval, and which velocity is remembered.
 
 Place "before": `law(c[k, sites], state, layout, scales) -> state` before the simulator's step; place "after":
 `law(c[k, sites], state, then, layout, scales, row) -> then`.
@@ -13,8 +13,8 @@ from simgap.layout import YAW, Layout, X, Y
 
 _S = Float[Array, " s"]
 MISTIMED = 0.3
-"""Share of the nominal time step by which the true one may differ: time stamps are no further off. A robot that covers
-still more or less ground in a row does so for another reason, for which a simulator may have parameters."""
+"""Share of the nominal time step by which the true one may differ: time stamps are no further off. A robot that moves
+even more or less per row does so for another reason, for which the simulator may have parameters."""
 
 
 def _integrated(layout: Layout) -> list[int]:
@@ -27,7 +27,7 @@ def _integrated_sites(layout: Layout) -> tuple[Site, ...]:
 
 
 def _integration_rule(c: Float[Array, "1 n"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
-    """p' + c h (v - v'): positions advance by the old velocity to the share c."""
+    """p' + c h (v - v'): positions advance by the old velocity to a share c."""
     for k, i in enumerate(_integrated(layout)):
         v = int(layout.integrates[i])
         then = then + placed(len(then), i, c[0, k] * scales.interval[i] * (state[v] - then[v]))
@@ -49,13 +49,13 @@ def _interval(c: Float[Array, "1 1"], state: _S, then: _S, layout: Layout, scale
 
 
 def _stamped(c: Float[Array, "1 1"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
-    """Positions advance by the row's own interval to the share c."""
+    """Positions advance by the row's own interval to a share c."""
     is_position = jnp.array([f.kind in ("position", "angle") for f in layout.schema.state])
     return then + jnp.where(is_position, c[0, 0] * (row.interval - 1) * wrapped(layout, then - state), 0.0)
 
 
 def _own_motion(c: Float[Array, "1 n"], state: _S, layout: Layout, scales: Scales) -> _S:
-    """v - c V: only the mounted body's own motion is remembered, not what its carrier adds (V)."""
+    """v - c V: the mounted body remembers its own motion only, not the velocity V that its carrier adds."""
     carried = carried_velocity(layout, state, state)
     for k, b in enumerate(mounted(layout)):
         for axis in (X, Y):
@@ -65,7 +65,7 @@ def _own_motion(c: Float[Array, "1 n"], state: _S, layout: Layout, scales: Scale
 
 
 def _rotating(layout: Layout) -> list[int]:
-    """Bodies whose horizontal velocity is given in the world and whose frame turns."""
+    """Bodies whose horizontal velocity is in the world frame and whose own frame turns."""
     return [
         b for b in range(len(layout.bodies))
         if layout.heading[b] is not None and all(layout.velocity[b, [X, Y]] >= 0)

@@ -13,7 +13,7 @@ from simgap.types import SimgapError
 
 
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays as `.npz`, uncompressed. Equal arrays make equal bytes; numpy's own would hold the time."""
+    """Write named arrays as `.npz`, uncompressed. Equal arrays give equal bytes; numpy would store the time."""
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in arrays.items():
             content = io.BytesIO()
@@ -22,7 +22,7 @@ def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def load_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays that `save_arrays` wrote; SimgapError when the file is missing, damaged or of another kind."""
+    """The arrays that `save_arrays` wrote; SimgapError where the file is missing, damaged or of another kind."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

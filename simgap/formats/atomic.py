@@ -1,4 +1,4 @@
-"""Files and folders that are written beside their place and put there whole."""
+"""Writes files and folders next to their place, and moves them there when they are complete."""
 
 import hashlib
 import os
@@ -14,24 +14,24 @@ from simgap.formats.folders import make_folder, remove_file, remove_folder
 from simgap.types import SimgapError
 
 _OWNER = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
-"""Begins the names of files that are being written: on a shared disk, processes of other machines write too."""
+"""Prefix of the names of files that are being written: on a shared disk, other machines write too."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to, which takes its place when all went well and is deleted otherwise.
+    """A path next to `path` to write to. It replaces `path` if all went well, and is deleted otherwise.
 
     Raises SimgapError where it cannot be written, as on a full disk.
     """
-    temporary = _beside(path)
+    temporary = _temporary(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
         raise SimgapError(
-            f"{path}: cannot be written ({error.strerror or error}). Make room, or mend the folder's permissions, and "
-            "start again: what is finished is not repeated."
+            f"{path}: cannot be written ({error.strerror or error}). Free disk space or fix the folder's permissions, "
+            "and start again: finished work is not repeated."
         ) from error
     finally:
         with suppress(OSError):
@@ -40,9 +40,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(folder: Path) -> Iterator[Path]:
-    """A new folder beside `folder` to write to, which takes its place whole when all went well and is deleted
-    otherwise."""
-    new, old = _beside(folder), _beside(folder)
+    """A new folder next to `folder` to write to. It replaces `folder` if all went well, and is deleted otherwise."""
+    new, old = _temporary(folder), _temporary(folder)
     try:
         make_folder(new)
         yield new
@@ -55,11 +54,11 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Delete what processes of this machine that are gone were writing in a folder when they were killed."""
+    """Delete the unfinished files in a folder that killed processes of this machine left."""
     for path in list(folder.rglob(f".{_OWNER}-*.tmp")):
         if not psutil.pid_exists(int(path.name.split("-")[1])):
             (remove_folder if path.is_dir() else remove_file)(path, folder)
 
 
-def _beside(path: Path) -> Path:
+def _temporary(path: Path) -> Path:
     return path.with_name(f".{_OWNER}-{os.getpid()}-{uuid4().hex}.tmp")

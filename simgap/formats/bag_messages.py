@@ -1,4 +1,4 @@
-"""The door to bags: MCAP files and ROS 2 bags, as messages with stamps. Nothing in them is run."""
+"""Reads bags, MCAP files and ROS 2 bags, as messages with stamps. Nothing in them is executed."""
 
 import json
 from collections.abc import Callable, Iterator, Set
@@ -20,12 +20,12 @@ from rosbags.typesys import Stores, get_typestore
 from simgap.types import RecordingError
 
 RECORD_LIMIT = 2**30
-"""Greatest size of an MCAP file's record, and of what a chunk expands to [bytes]; recorders keep to a few million."""
+"""Maximum size of a record of an MCAP file, and of an expanded chunk [bytes]; recorders write a few million."""
 _SHOWN = 200  # characters of a library's error in a message
 
 
 class Message(NamedTuple):
-    """A message of a topic and when it was received [ns]; fields are attributes, or keys where it was JSON."""
+    """A message of a topic, with its receive time [ns]. Its fields are attributes, or keys if it was JSON."""
 
     topic: str
     received_ns: int
@@ -33,14 +33,14 @@ class Message(NamedTuple):
 
 
 def messages(path: Path, topics: Set[str]) -> Iterator[Message]:
-    """The messages of these topics, in no certain order; RecordingError where the bag is damaged or lacks a topic."""
+    """The messages of these topics, in any order; RecordingError where the bag is damaged or lacks a topic."""
     read = _mcap(path, topics) if path.is_file() else _ros2(path, topics)
     while True:
         try:
             message = next(read, None)
         except RecordingError:
             raise
-        except Exception as error:  # a damaged bag, or a definition made to harm, may raise anything
+        except Exception as error:  # a damaged bag, or a malicious definition, may raise anything
             raise RecordingError(
                 f"{path}: cannot be read as a bag ({type(error).__name__}: {first_line(error)}). Record or copy it "
                 "again, or leave it out."
@@ -51,13 +51,13 @@ def messages(path: Path, topics: Set[str]) -> Iterator[Message]:
 
 
 def first_line(error: Exception) -> str:
-    """What an error of a library says, short enough for a line."""
+    """The first line of a library's error, shortened."""
     line = next(iter(str(error).splitlines()), "")
     return line if len(line) <= _SHOWN else f"{line[:_SHOWN]}..."
 
 
 def _mcap(path: Path, topics: Set[str]) -> Iterator[Message]:
-    """Read from its beginning to its end, whether there is an index or not, so that every checksum is looked at."""
+    """Read from beginning to end, with or without an index, so that every checksum is verified."""
     decoders: dict[int, Callable[[bytes], Any]] = {}
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -76,7 +76,7 @@ def _mcap(path: Path, topics: Set[str]) -> Iterator[Message]:
 
 
 def _records(file: IO[bytes]) -> Iterator[McapRecord]:
-    """Records of a file and of its chunks; an error of the library where a checksum is wrong or the end is lacking."""
+    """Records of a file and of its chunks. The library raises an error where a checksum is wrong or the end missing."""
     reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=RECORD_LIMIT)
     for record in reader.records:
         if isinstance(record, Chunk):
@@ -86,7 +86,7 @@ def _records(file: IO[bytes]) -> Iterator[McapRecord]:
 
 
 def _expanded(chunk: Chunk) -> bytes:
-    """A chunk's content, of which a small file may make more than there is memory."""
+    """A chunk's content, limited in size: a small file may expand to more than the memory."""
     if chunk.compression == "zstd":
         data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(RECORD_LIMIT + 1)
     elif chunk.compression == "lz4":
@@ -117,7 +117,7 @@ def _decoder(path: Path, channel: Channel, schema: Schema | None) -> Callable[[b
 
 
 def _ros2(path: Path, topics: Set[str]) -> Iterator[Message]:
-    # Bags of older recorders bring no definitions; ROS's own messages are the same since.
+    # Bags of older recorders hold no definitions; ROS's own messages have not changed since.
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         _refuse_missing(path, topics, {c.topic for c in reader.connections})
         wanted = [c for c in reader.connections if c.topic in topics]

@@ -1,4 +1,4 @@
-"""Columns of a bag: a number of every message, with its stamp."""
+"""Columns of a bag: one number per message, with its stamp."""
 
 from array import array
 from collections.abc import Mapping
@@ -15,8 +15,8 @@ _SHOWN = 200  # characters of a bag's own text in a message
 
 
 class Wanted(NamedTuple):
-    """Where a column comes from: a topic, a field of its messages, and whether stamps are those of their headers, or
-    when they came in."""
+    """Where a column comes from: a topic, a field of its messages, and whether stamps are those of the headers or the
+    receive times."""
 
     topic: str
     field: str
@@ -24,7 +24,7 @@ class Wanted(NamedTuple):
 
 
 def columns(path: Path, wanted: Mapping[str, Wanted]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Stamps [s] since the first and values of every column; RecordingError where the bag does not have it so."""
+    """Stamps [s] since the first, and values, of every column; RecordingError where the bag lacks one."""
     by_topic: dict[str, list[str]] = {}
     for name, column in wanted.items():
         by_topic.setdefault(column.topic, []).append(name)
@@ -72,25 +72,25 @@ def _member(content: Any, name: str) -> Any:
 
 
 def _value(content: Any, field: str, where: str) -> float:
-    found = content
+    value = content
     for name in field.split("."):
-        inner = _member(found, name)
+        inner = _member(value, name)
         if inner is None:
-            raise RecordingError(f"{where} has no {field!r}: {name!r} is not in {_names(found)}. Mend it in the "
+            raise RecordingError(f"{where} has no {field!r}: {name!r} is not in {_names(value)}. Mend it in the "
                                  "mapping file.")  # fmt: skip
-        found = inner
-    parts = [_member(found, axis) for axis in "xyzw"]
+        value = inner
+    parts = [_member(value, axis) for axis in "xyzw"]
     try:
         if all(part is not None for part in parts):
             return resample.yaw(*(float(part) for part in parts))
-        return float(found)
+        return float(value)
     except (TypeError, ValueError, OverflowError):
         raise RecordingError(f"{where}: {field!r} must be a number, or a quaternion of which the yaw is taken; it "
-                             f"is {type(found).__name__}. Go on to one of its own fields.") from None  # fmt: skip
+                             f"is {type(value).__name__}. Name one of its own fields.") from None  # fmt: skip
 
 
 def _names(content: Any) -> str:
-    """What may follow in a field."""
+    """The names that may come next in a field's path."""
     if isinstance(content, Mapping):
         names = map(str, content)
     elif hasattr(content, "__getitem__"):

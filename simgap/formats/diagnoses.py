@@ -1,4 +1,4 @@
-"""What a diagnosis leaves in its folder, and how its simulator is loaded from there."""
+"""Writes the files of a diagnosis to its folder, and loads its simulator from there."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,18 +24,18 @@ from simgap.simulators.spot import Spot
 from simgap.types import Schema, SimgapError, StepModel
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
-"""The files; the experiment only where there is one to make."""
+"""The files; the experiment only where one is proposed."""
 PATCHED = ".patched.xml"
-"""What the name of a model file ends in that a diagnosis wrote."""
+"""Suffix of a model file that a diagnosis wrote."""
 
 
 def write(
     folder: Path, found: Diagnosis, page: str, schema: Schema, models: Mapping[str, str] = MappingProxyType({})
 ) -> None:
-    """Statement, page, the simulator's constants with the effects in it, the experiment if one is called for, and
+    """Write the statement, the page, the constants of the simulator with effects, the experiment if there is one, and
     `models`: texts of model files by their names, which end in `PATCHED`.
 
-    The statement goes first and comes last: where it is, all else is of the same diagnosis.
+    The statement is deleted first and written last: if it exists, all other files are of the same diagnosis.
     """
     for path in (*(folder / name for name in (STATEMENT, PAGE, EXPERIMENT, MODEL)), *folder.glob(f"*{PATCHED}")):
         remove_file(path, folder)
@@ -51,7 +51,7 @@ def write(
 
 
 def read_statement(folder: Path) -> dict[str, Any]:
-    """What `diagnosis.json` holds; SimgapError where the folder has no diagnosis."""
+    """The statement in `diagnosis.json`; SimgapError where the folder has no diagnosis."""
     if not (folder / STATEMENT).is_file():
         raise SimgapError(f"{folder}: holds no {STATEMENT}. Give the folder that `simgap diagnose` wrote to.")
     return statements.read(folder / STATEMENT)
@@ -77,7 +77,7 @@ def read_simulator(path: Path, simulator: StepModel | Engine) -> AugmentedSimula
 def corrected(
     simulator: StepModel | Engine, phi: Float[np.ndarray, " p"], acting: Acting, scales: Scales
 ) -> AugmentedSimulator:
-    """A simulator with effects and fitted parameters; ValueError where there are other numbers of them."""
+    """A simulator with effects and fitted parameters; ValueError where their numbers differ from the simulator's."""
     if len(phi) != len(simulator.parameters):
         raise ValueError(f"it has {len(phi)} parameters, the simulator {len(simulator.parameters)}")
     fitted: Any = refitted(simulator, phi.tolist())  # a Simulator where the other is one

@@ -1,4 +1,4 @@
-"""JSON, text, bytes and tables of results."""
+"""Reads and writes JSON, text, bytes and tables of results."""
 
 import csv
 import io
@@ -15,12 +15,12 @@ from simgap.types import SimgapError
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write `as_json`."""
+    """Write a value as JSON; see `as_json`."""
     write_text(path, as_json(value) + "\n")
 
 
 def as_json(value: Any) -> str:
-    """A value as JSON, keys sorted; arrays as lists, and null for numbers that are not finite, which JSON has not."""
+    """A value as JSON, keys sorted; arrays as lists, and null for numbers that are not finite, which JSON lacks."""
     return json.dumps(_plain(value), indent=1, sort_keys=True, allow_nan=False)
 
 
@@ -35,7 +35,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds; SimgapError when it is missing or damaged."""
+    """The content of a JSON file; SimgapError where it is missing or damaged."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -53,7 +53,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes, private: bool = False) -> None:
-    """Bytes as they are; `private`: for the owner's eyes alone."""
+    """Write bytes as they are; `private`: readable by the owner only."""
     with replacing(path) as temporary:
         temporary.touch(0o600 if private else 0o644)
         temporary.write_bytes(content)
@@ -68,7 +68,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as CSV, floats with 6 significant digits; a key that a row has not is left blank there."""
+    """Write rows as CSV, floats with 6 significant digits; a key that a row lacks is left blank."""
     header = list(dict.fromkeys(key for row in rows for key in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, header, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Folders: made, kept private, and deleted from, by one door that refuses what does not lie in the workspace."""
+"""Makes folders, keeps files private, and deletes files and folders, but only those that lie in a given folder."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from simgap.types import SimgapError
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, if it is not there, and see that it can be written to; SimgapError that says why not."""
+    """Make a folder if it is missing; SimgapError where it cannot be made or written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
@@ -22,25 +22,25 @@ def make_folder(folder: Path) -> None:
 
 
 def keep_private(path: Path) -> None:
-    """Create an empty database if there is none, and take from others the right to read it and what SQLite keeps with
-    it; SimgapError where its folder cannot be written to.
+    """Create an empty database if there is none, and make it and SQLite's files next to it readable by the owner only.
+    SimgapError where its folder cannot be written to.
 
-    SQLite gives the files that it adds later the rights of the database. One that is there is not opened: closing it
-    would end the locks that this process holds on it.
+    SQLite gives the files that it adds later the rights of the database. An existing database is not opened: closing it
+    would release the locks that this process holds on it.
     """
     make_folder(path.parent)
     with suppress(OSError):  # another user's database, or a read-only disk: who opens it next says so
         if not path.exists():
             os.close(os.open(path, os.O_CREAT | os.O_EXCL, 0o600))
-        for each in (path, *path.parent.glob(f"{path.name}-*")):
-            each.chmod(0o600)
+        for file in (path, *path.parent.glob(f"{path.name}-*")):
+            file.chmod(0o600)
 
 
 def remove_folder(folder: Path, within: Path) -> None:
-    """Delete a folder with all that is in it, if it is there; of links in it, the links alone.
+    """Delete a folder and its content, if it exists; of links in it, only the links.
 
-    Raises SimgapError, and deletes nothing, where it does not lie in the folder `within` once links are followed; and
-    where a part of it cannot be deleted: the message names the part and why.
+    Raises SimgapError, and deletes nothing, where it does not lie in the folder `within` once links are followed.
+    Raises SimgapError that names the part and the reason where a part of it cannot be deleted.
     """
     if not os.path.lexists(folder):
         return
@@ -51,16 +51,16 @@ def remove_folder(folder: Path, within: Path) -> None:
     else:
         shutil.rmtree(folder, onerror=lambda _, path, error: failed.append((path, error[1])))
     if failed:
-        (path, error), more = failed[0], len(failed) - 1
+        (path, error), others = failed[0], len(failed) - 1
         raise SimgapError(
             f"{folder}: {path} cannot be deleted ({getattr(error, 'strerror', None) or error})"
-            f"{f', nor {more} others' if more else ''}. Fix the permissions of the folder that it lies in, or end the "
-            "program that uses it, and start again."
+            f"{f', nor {others} others' if others else ''}. Fix the permissions of the folder that it lies in, or end "
+            "the program that uses it, and start again."
         )
 
 
 def remove_file(path: Path, within: Path) -> None:
-    """Delete a file, if it is there; of a link, the link alone. SimgapError as `remove_folder` has it."""
+    """Delete a file, if it exists; of a link, only the link. Raises SimgapError as `remove_folder` does."""
     if not os.path.lexists(path):
         return
     _refuse_outside(path.parent.resolve() / path.name, path, within)

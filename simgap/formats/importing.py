@@ -1,4 +1,4 @@
-"""Bags, tables and LeRobot data sets of one's own robot into recordings, as a mapping file says."""
+"""Imports bags, tables and LeRobot data sets of one's own robot as recordings, as a mapping file says."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,11 +17,11 @@ from simgap.resample import Stream
 from simgap.types import ConfigError, RecordingError, Schema
 
 Raw = dict[str, tuple[np.ndarray, np.ndarray]]
-"""Stamps [s] and values of every column of the schema, as they were recorded."""
+"""Stamps [s] and values of every column of the schema, as recorded."""
 
 
 class Session(NamedTuple):
-    """A session to import: its name, what messages call it, and what reads it."""
+    """A session to import: its name, its name in messages, and the function that reads it."""
 
     name: str
     label: str
@@ -31,9 +31,9 @@ class Session(NamedTuple):
 def import_sessions(
     path: Path, name: str, mapping: MappingFile, schema: Schema, out: Path
 ) -> tuple[dict[str, int], list[RecordingError]]:
-    """The sessions of a bag, a table or a data set as recordings in `out`: rows by session, and why others are not.
+    """Write the sessions of a bag, a table or a data set as recordings to `out`. Returns rows by session, and errors.
 
-    A piece is written for every part without a gap. Raises ConfigError where the mapping does not fit.
+    Each part of a session without a gap becomes a recording. Raises ConfigError where the mapping does not fit.
     """
     rows: dict[str, int] = {}
     errors: list[RecordingError] = []
@@ -41,8 +41,8 @@ def import_sessions(
         try:
             rows |= _import(session, mapping, schema, out)
         except RecordingError as error:
-            said = str(error)
-            errors.append(RecordingError(said if str(path) in said else f"{session.label}: {error}"))
+            message = str(error)
+            errors.append(RecordingError(message if str(path) in message else f"{session.label}: {error}"))
     return rows, errors
 
 
@@ -87,52 +87,52 @@ def _streams(raw: Raw, factors: dict[str, float], offsets: dict[str, float]) -> 
     for name, (time, values) in raw.items():
         if not len(time):
             raise RecordingError(f"column {name} has no values. Look at its topic or column in the mapping file.")
-        late = np.flatnonzero(~np.isfinite(time))
-        if late.size:
-            raise RecordingError(f"column {name}: value {late[0] + 1} of {len(time)} has the time stamp "
-                                 f"{time[late[0]]}; every stamp must be a finite number. Cut the session "
+        bad = np.flatnonzero(~np.isfinite(time))
+        if bad.size:
+            raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(time)} has the time stamp "
+                                 f"{time[bad[0]]}; every stamp must be a finite number. Cut the session "
                                  "there.")  # fmt: skip
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]
-        fresh = np.append(np.diff(time) > 0, True)  # of several values with one stamp, the last
+        last = np.append(np.diff(time) > 0, True)  # the last of several values with one stamp
         bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
         if bad.size:
             raise RecordingError(f"column {name}: value {bad[0] + 1} of {len(values)} is {values[bad[0]]:g}; every "
                                  f"value must be a number of at most {LARGEST:.1e}. Cut the session "
                                  "there.")  # fmt: skip
-        streams[name] = Stream(time[fresh], factors[name] * values[fresh] + offsets[name])
+        streams[name] = Stream(time[last], factors[name] * values[last] + offsets[name])
     zero = min(s.time_s[0] for s in streams.values())
     return {name: Stream(s.time_s - zero, s.values) for name, s in streams.items()}
 
 
 def _columns(path: Path, mapping: MappingFile, time: str) -> dict[str, str]:
-    """By column of the schema, and for its stamps, the column of a table."""
+    """The column of a table for each column of the schema and for the stamps."""
     wanted = {"time_s": mapping.time.column or time} | {name: c.column for name, c in mapping.columns.items()}
     if not all(wanted.values()):
-        lacking = ", ".join(name for name, column in wanted.items() if not column)
-        raise ConfigError(f"{path}: has columns, and the mapping has no `column` for {lacking}. Add it.")
+        missing = ", ".join(name for name, column in wanted.items() if not column)
+        raise ConfigError(f"{path}: has columns, and the mapping has no `column` for {missing}. Add it.")
     return wanted
 
 
 def _raw(table: Columns, wanted: dict[str, str], unit: str, mapping: MappingFile) -> Raw:
     time = table[wanted["time_s"]] * resample.factor(unit, "s")
-    found = {}
+    raw = {}
     for name in mapping.columns:
         values = table[wanted[name]]
-        there = ~np.isnan(values)  # sensors of other rates leave blanks
-        found[name] = (time[there], values[there])
-    return found
+        present = ~np.isnan(values)  # sensors with other rates leave blanks
+        raw[name] = (time[present], values[present])
+    return raw
 
 
 def _refuse_without_unit(path: Path, mapping: MappingFile, schema: Schema) -> None:
-    """LeRobot records numbers without units, which are degrees, radians or percents, as the robot was set up."""
+    """ConfigError where a unit is missing: LeRobot stores degrees, radians or percents without saying which."""
     units = {f.name: f.unit for f in (*schema.state, *schema.command)}
-    silent = [n for n, c in mapping.columns.items() if units[n] != "-" and not c.unit and c.scale is None]
-    if silent:
+    without = [n for n, c in mapping.columns.items() if units[n] != "-" and not c.unit and c.scale is None]
+    if without:
         raise ConfigError(
-            f"{path}: a LeRobot data set does not say its units, and the mapping gives none for {', '.join(silent)}. "
+            f"{path}: a LeRobot data set does not say its units, and the mapping gives none for {', '.join(without)}. "
             "Add `unit`, such as deg or rad; for percents `unit: percent` and `range: [at 0, at 100]`, in "
-            f"{units[silent[0]]}."
+            f"{units[without[0]]}."
         )
 
 

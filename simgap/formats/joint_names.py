@@ -1,4 +1,4 @@
-"""LeRobot data sets of the robot that a model is of: columns by the names of joints, units as they are said to be."""
+"""LeRobot data sets of a robot with a model file: columns are found by the names of joints, units are given."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,23 +9,23 @@ from simgap.formats.mapping import PERCENT, Column, MappingFile
 from simgap.types import ConfigError, Field, RecordingError, Schema
 
 SIGNED = "signed_percent"
-"""Of values from -100 to 100 over a joint's range."""
+"""Unit of values from -100 to 100 over a joint's range."""
 UNITS = ("deg", "rad", "m", "mm", PERCENT, SIGNED)
 """Units that positions and commands of joints may have; percents are of the joint's range in the model."""
 EVERY = ""
-"""The key of the unit of all joints that have none of their own."""
+"""Key of the unit of all joints that have none of their own."""
 LONGEST_GAP = 5.0
-"""Intervals after which a session is cut."""
+"""A session is cut at gaps longer than this many intervals."""
 Ranges = Mapping[str, tuple[float, float]]
 
 
 def mapping_of(root: Path, schema: Schema, ranges: Ranges, units: Mapping[str, str]) -> MappingFile:
-    """Where the columns of a data set come from that are named like joints of the model.
+    """The mapping of a data set whose columns are named like joints of the model.
 
     `observation.state.<joint>` or `<joint>.pos` is a position, `<joint>.vel` a velocity, and `action.<actuator>` or
-    `<actuator>.pos` a command. units: of `UNITS`, by joint or for `EVERY` other one.
+    `<actuator>.pos` a command. units: one of `UNITS` by joint, and under `EVERY` for all other joints.
 
-    Raises RecordingError where no column is a joint's position, ConfigError where a unit is missing or cannot be.
+    Raises RecordingError where no column is a joint's position, ConfigError where a unit is missing or impossible.
     """
     there, fps = lerobot.described(root)
     bodies = list(dict.fromkeys(f.body for f in schema.state if f.body))
@@ -46,7 +46,7 @@ def mapping_of(root: Path, schema: Schema, ranges: Ranges, units: Mapping[str, s
 
 
 def _names(field: Field, commanded: bool) -> list[str]:
-    """What a column may be called in a data set."""
+    """Names that a column may have in a data set."""
     if commanded:
         return [f"action.{field.name.removeprefix('cmd_')}{end}" for end in (".pos", "")]
     ends = {"position": (".pos", ""), "velocity": (".vel",)}.get(field.kind, ())
@@ -58,7 +58,7 @@ def _unit(field: Field, units: Mapping[str, str]) -> str:
 
 
 def _is_share_of_speed(field: Field, units: Mapping[str, str]) -> bool:
-    """Percents of a range in a second are nobody's; the velocity is estimated then."""
+    """Whether it is a velocity in percent of a range, a unit that nobody uses; the velocity is then estimated."""
     return field.kind == "velocity" and _unit(field, units) in (PERCENT, SIGNED)
 
 

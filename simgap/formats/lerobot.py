@@ -1,7 +1,7 @@
 """LeRobot data sets, versions 2 and 3, read without LeRobot: an episode is a session.
 
-Columns are named by a feature and its entry, as `observation.state.shoulder_pan.pos`; entries without names by their
-number, as `action.0`; a feature of one number by itself, as `timestamp`. Videos are not looked at.
+A column is named by its feature and entry, as `observation.state.shoulder_pan.pos`; an entry without a name by its
+number, as `action.0`; a feature of one number by the feature alone, as `timestamp`. Videos are ignored.
 """
 
 import math
@@ -24,20 +24,20 @@ from simgap.types import MOST_ROWS, RecordingError
 
 EPISODE, FRAME, STAMP = "episode_index", "frame_index", "timestamp"
 MOST_ENTRIES = 10_000
-"""Most numbers of a feature: robots have some hundred, and each becomes a column, of which a CSV file has as many."""
+"""Maximum entries of a feature. Each becomes a column, and a CSV file has at most as many; robots have some hundred."""
 SLOWEST_HZ = 0.001
-"""Fewest frames a second: one in a quarter of an hour."""
+"""Minimum frames a second: one in a quarter of an hour."""
 
 
 class Episode(NamedTuple):
-    """An episode by its name, and what reads its columns."""
+    """The name of an episode, and the function that reads its columns."""
 
     name: str
     read: Callable[[], Columns]
 
 
 class _Place(NamedTuple):
-    """A column: which entry of which feature; None for a feature of one number."""
+    """A column: its feature, and its entry there; None for a feature of one number."""
 
     feature: str
     entry: int | None
@@ -46,8 +46,8 @@ class _Place(NamedTuple):
 def episodes(root: Path, wanted: Sequence[str]) -> Iterator[Episode]:
     """The episodes of a data set, by their number; each reads the wanted columns.
 
-    Raises RecordingError where the data set is of another version or lacks a column. A damaged file is an episode whose
-    reading raises it.
+    Raises RecordingError where the data set is of another version or lacks a column. A damaged file yields an episode
+    that raises it when it is read.
     """
     places, fps = _places(root, wanted)
     files = sorted((root / "data").rglob("*.parquet"))
@@ -67,15 +67,15 @@ def episodes(root: Path, wanted: Sequence[str]) -> Iterator[Episode]:
 
 
 def described(root: Path) -> tuple[dict[str, _Place], float]:
-    """The columns of a data set by name, by what meta/info.json says of its features; and frames a second."""
+    """The columns of a data set by name, from the features in meta/info.json; and frames a second."""
     info = read_json(root / "meta" / "info.json")
     try:
         version, features, fps = str(info["codebase_version"]), info["features"], _rate(info["fps"])
         there = {name: place for feature, entry in features.items() for name, place in _entries(feature, entry)}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        said = str(error) if isinstance(error, ValueError) else repr(error)
+        reason = str(error) if isinstance(error, ValueError) else repr(error)
         raise RecordingError(
-            f"{root}/meta/info.json: describes no LeRobot data set ({said}). Download the data set whole."
+            f"{root}/meta/info.json: describes no LeRobot data set ({reason}). Download the data set whole."
         ) from None
     if version.lstrip("v").split(".")[0] not in ("2", "3"):
         raise RecordingError(f"{root}: is a LeRobot data set of version {version}; 2 and 3 are read. Convert it with "
@@ -84,7 +84,7 @@ def described(root: Path) -> tuple[dict[str, _Place], float]:
 
 
 def _rate(fps: Any) -> float:
-    """Frames a second as a number; ValueError where it is none, or absurd."""
+    """Frames a second as a number; ValueError where it is not a plausible one."""
     try:
         rate = float(fps)
     except (TypeError, ValueError, OverflowError):
@@ -105,7 +105,7 @@ def _places(root: Path, wanted: Sequence[str]) -> tuple[dict[str, _Place], float
 
 
 def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Place]]:
-    """Names and places of a feature's numbers; none of images, videos and texts."""
+    """Names and places of a feature's numbers; nothing for images, videos and texts."""
     if described["dtype"] in ("image", "video", "string") or len(described["shape"]) != 1:
         return
     (size,) = described["shape"]
@@ -116,7 +116,7 @@ def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Pl
     names = described.get("names")
     if isinstance(names, dict):  # {"motors": [...]}
         names = [name for group in names.values() for name in group]
-    if names is None or len(set(names)) != size:  # of two of one name nobody knows which is which
+    if names is None or len(set(names)) != size:  # equal names are ambiguous
         names = range(size)
     if size == 1:
         yield feature, _Place(feature, None)
@@ -124,7 +124,7 @@ def _entries(feature: str, described: dict[str, Any]) -> Iterator[tuple[str, _Pl
 
 
 def _numbers(table: pa.Table) -> np.ndarray:
-    """The numbers of a file's episodes; ValueError where they are no numbers."""
+    """The episode numbers in a file; ValueError where they are not integers."""
     column = table[EPISODE]
     if not pa.types.is_integer(column.type) or column.null_count:
         blank = f" and {column.null_count} blanks" if column.null_count else ""
@@ -146,7 +146,7 @@ def _columns(path: Path, table: pa.Table, places: dict[str, _Place], fps: float)
 
 
 def _rows(column: pa.ChunkedArray) -> np.ndarray:
-    """A column of numbers or of lists as long as each other, as a matrix."""
+    """A column of numbers, or of lists of equal length, as a matrix."""
     values = column.combine_chunks()
     if pa.types.is_list(values.type) or pa.types.is_large_list(values.type) or pa.types.is_fixed_size_list(values.type):
         return values.flatten().to_numpy(zero_copy_only=False).astype(np.float64).reshape(len(values), -1)
@@ -154,7 +154,7 @@ def _rows(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def _exact(stamps: np.ndarray, even: np.ndarray) -> np.ndarray:
-    """Stamps in single precision lose up to a millisecond in three hours; most are those of even frames."""
+    """Stamps of evenly spaced frames where these agree in single precision, which loses 1 ms in three hours."""
     return np.where(np.abs(stamps - even) <= 2 * np.spacing(np.float32(stamps)), even, stamps)
 
 

@@ -1,4 +1,4 @@
-"""A mapping file: where every column of a robot's recordings comes from, in bags, tables and LeRobot data sets."""
+"""Mapping files: where each column of a robot's recordings comes from, in bags, tables and LeRobot data sets."""
 
 import math
 from collections.abc import Callable, Collection
@@ -19,9 +19,9 @@ _LINES, _LINE = 20, 1000  # lines, and characters in each, of a message of a map
 
 Number = Annotated[float, NUMBER]
 PERCENT = "percent"
-"""A unit of values that are shares of a range."""
+"""Unit of values that are shares of a range."""
 FASTEST_HZ = 10_000
-"""Most rows a second; the logs of robots have a thousand, seldom more."""
+"""Maximum rows a second; logs of robots have up to a thousand, rarely more."""
 
 
 class _Block(BaseModel):
@@ -79,12 +79,12 @@ class MappingFile(_Block):
     columns: dict[str, Column]
 
     def factors(self, schema: Schema) -> dict[str, float]:
-        """By what the values of every column are multiplied."""
+        """The factor by which the values of each column are multiplied."""
         units = {f.name: f.unit for f in (*schema.state, *schema.command)}
         return {name: column.sign * _factor(column, units[name]) for name, column in self.columns.items()}
 
     def offsets(self) -> dict[str, float]:
-        """What is added to the values of every column then."""
+        """The offset that is then added to the values of each column."""
         return {name: column.sign * column.range[0] if column.range else 0.0 for name, column in self.columns.items()}
 
 
@@ -104,7 +104,7 @@ def read_mapping(path: Path) -> MappingFile:
 
 
 def check_columns(path: Path, mapping: MappingFile, schema: Schema, known: Collection[str]) -> None:
-    """ConfigError unless the mapping file at `path` says where each column of the schema comes from, and no other;
+    """ConfigError unless the mapping file at `path` gives the source of each column of the schema, and of no other.
     `known`: all columns that its simulator could have."""
     try:
         _check_columns(mapping, schema, known)
@@ -137,7 +137,7 @@ def _check_columns(mapping: MappingFile, schema: Schema, known: Collection[str])
 
 
 def _check_unit(key: str, factor: Callable[[], float]) -> None:
-    """ConfigError that names the key, unless there is a factor between its unit and the schema's."""
+    """ConfigError that names the key, unless its unit can be converted to the schema's."""
     try:
         factor()
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""A first look at recordings, before there is a simulator of theirs: which columns they have, and how often rows."""
+"""A first look at recordings, before their simulator exists: their columns, and the interval between rows."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -14,7 +14,7 @@ from simgap.types import RecordingError
 
 
 class Look(NamedTuple):
-    """One session: the columns that it has, and the median interval between its rows [s] (not a number if unknown)."""
+    """One session: its columns, and the median interval between its rows [s] (NaN if unknown)."""
 
     columns: Sequence[str]
     interval: float
@@ -28,23 +28,23 @@ class Seen(NamedTuple):
 
 
 def in_folders(folders: Iterable[Path]) -> Seen:
-    """The sessions in folders together; errors as `in_folder` and `seen` have them."""
+    """What the sessions of several folders have in common; raises as `in_folder` and `seen` do."""
     return seen([look for folder in folders for look in in_folder(folder)])
 
 
 def in_folder(folder: Path) -> list[Look]:
-    """The sessions of a folder that are tables with the column time_s; RecordingError where none is."""
-    found, wrong = [], []
+    """The sessions of a folder that are tables with the column time_s; RecordingError where there are none."""
+    looks, wrong = [], []
     for path in session_files(folder):
         if path.suffix.lower() in TABLES:
             try:
-                found.append(Look(column_names(path), _interval(read_table(path, ["time_s"])["time_s"])))
+                looks.append(Look(column_names(path), _interval(read_table(path, ["time_s"])["time_s"])))
             except RecordingError as error:
                 wrong.append(str(error))
-    if not found:
+    if not looks:
         raise RecordingError(wrong[0] if wrong else f"{folder}: holds no CSV or Parquet file, which have names of "
                              "columns. A model file is only for such recordings.")  # fmt: skip
-    return found
+    return looks
 
 
 def of_table(table: Any) -> Look:
@@ -57,7 +57,7 @@ def of_table(table: Any) -> Look:
 
 
 def seen(looks: Sequence[Look]) -> Seen:
-    """What sessions have together; RecordingError where no interval is known."""
+    """What sessions have in common; RecordingError where no interval is known."""
     count = Counter(name for look in looks for name in dict.fromkeys(look.columns))
     usual = tuple(name for name, sessions in count.items() if 2 * sessions > len(looks))
     known = [look.interval for look in looks if look.interval > 0]

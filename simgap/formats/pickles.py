@@ -1,4 +1,4 @@
-"""Pickled sessions as published with [Hoffman et al. 2025, Data Collection], opened without running what they name."""
+"""Pickled sessions as published with [Hoffman et al. 2025, Data Collection], opened without running code in them."""
 
 import io
 import pickle
@@ -12,14 +12,14 @@ from simgap.formats.tables import Columns
 from simgap.types import RecordingError, Schema
 
 PICKLE_LIMIT = 64 * 2**20
-"""Greatest size of a pickle that is opened [bytes]; the published ones stay below 0.2 MB."""
+"""Maximum size of a pickle that is opened [bytes]; the published ones are below 0.2 MB."""
 
 
 def pickle_columns(path: Path, schema: Schema, time_step: float) -> Columns:
-    """A pickled (x[T,s], u[T,u], y[T,s]): state, command, next state, one `time_step` [s] between rows.
+    """A pickled (x[T,s], u[T,u], y[T,s]): state, command, next state, with `time_step` [s] between rows.
 
-    T + 1 rows keep all T transitions: the states x and after them the last next state. The last row's command repeats
-    the one before; it is never part of a transition, because the last row has no successor.
+    T + 1 rows keep all T transitions: the states x, followed by the last next state. The command of the last row
+    repeats the one before; it is in no transition, because the last row has no successor.
     """
     size = path.stat().st_size
     if size > PICKLE_LIMIT:
@@ -46,7 +46,7 @@ def _refuse_gap(path: Path, schema: Schema, x: Float[np.ndarray, "T s"], y: Floa
 
 
 def _unpickle(path: Path, schema: Schema) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The three arrays, in the schema's shapes; RecordingError for anything else, before any of it is run."""
+    """The three arrays, in the schema's shapes; RecordingError for anything else, without running it."""
     try:
         arrays = _ArraysOnly(path).load()
         if not (isinstance(arrays, tuple) and all(isinstance(array, _PickledArray) for array in arrays)):
@@ -94,7 +94,7 @@ class _PickledArray:
 
 
 class _PickledJaxArray(_PickledArray):
-    """Stands in for the function that rebuilds a jax array, from what makes a numpy array and that array's state."""
+    """Stands in for the function that rebuilds a jax array, from the arguments and the state of a numpy array."""
 
     def __init__(self, _function: object, _arguments: object, state: Any, _jax_state: object) -> None:
         self.__setstate__(state)
@@ -109,9 +109,9 @@ _STAND_INS = {
 
 
 class _ArraysOnly(pickle.Unpickler):
-    """Admits the four globals that the published files refer to.
+    """Admits only the four globals that the published files refer to.
 
-    Each has a stand-in: numpy's own array and dtype believe what a pickle tells them about memory.
+    Each has a stand-in, as numpy's own array and dtype trust what a pickle says about memory.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Recordings by what they serve in a diagnosis: read from folders, or given; checked against each other."""
+"""Recordings by their purpose in a diagnosis: read from folders or given, and checked against each other."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +12,8 @@ from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
 
 
 class Folders(NamedTuple):
-    """Recordings to diagnose; sessions to judge by and sessions from when all was well, where they lie apart; further
-    recordings to diagnose, of other experiments with the same machine."""
+    """Folders of recordings: those to diagnose; held-out sessions and a baseline from when all was well, if in folders
+    of their own; further recordings to diagnose, of other experiments with the same machine."""
 
     recordings: Path
     heldout: Path | None = None
@@ -22,12 +22,12 @@ class Folders(NamedTuple):
 
     @property
     def every(self) -> list[Path]:
-        """All folders that are given."""
+        """All given folders."""
         return [self.recordings, *self.further, *filter(None, (self.heldout, self.baseline))]
 
 
 class Given(NamedTuple):
-    """Sessions that come from one place, and what the place is called: in messages, and before names that coincide."""
+    """Sessions from one place; `place` names it in messages, `label` is the prefix of names that coincide."""
 
     sessions: Sequence[Recording]
     place: str
@@ -35,9 +35,9 @@ class Given(NamedTuple):
 
 
 def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, list[str]]:
-    """The sessions, and what was wrong with those left out; without a folder held out, some sessions are.
+    """The sessions by purpose, and why others are left out. Without a held-out folder, some sessions are held out.
 
-    Raises RecordingError as `arranged` does, and when a folder has no usable session.
+    Raises RecordingError as `arranged` does, and where a folder has no usable session.
     """
     errors: list[str] = []
     recordings = together([in_folder(folder, simulator, errors) for folder in (folders.recordings, *folders.further)])
@@ -46,14 +46,14 @@ def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, lis
 
 
 def in_folder(folder: Path, simulator: StepModel | Engine, errors: list[str]) -> Given:
-    """The sessions of a folder; `errors` gets why others cannot be used. RecordingError where none can."""
-    found, bad = read_recordings(folder, simulator.schema, simulator.time_step)
+    """The usable sessions of a folder; reasons against others go to `errors`. RecordingError where none is usable."""
+    recordings, bad = read_recordings(folder, simulator.schema, simulator.time_step)
     errors.extend(str(error) for error in bad)
-    return Given(found, str(folder), folder.resolve().name)
+    return Given(recordings, str(folder), folder.resolve().name)
 
 
 def together(several: Sequence[Given]) -> Given:
-    """The sessions of several places as those of one; RecordingError where a session is in two of them."""
+    """The sessions of several places as those of one place; RecordingError where a session is in two of them."""
     first, *others = several
     sessions = list(first.sessions)
     for given in others:
@@ -62,22 +62,23 @@ def together(several: Sequence[Given]) -> Given:
 
 
 def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline: Given | None) -> Sessions:
-    """Sessions by their purpose; where none are held out, some of `recordings` are.
+    """Sessions by purpose. Without `heldout`, some of `recordings` are held out.
 
-    Raises RecordingError when a velocity is a difference of its position, or when a session serves two purposes.
+    Raises RecordingError where a velocity is a difference of its position, or a session serves two purposes.
     """
     for given in (recordings, heldout, baseline):
         if given and (differences := derived(schema.measured, given.sessions)):
             raise RecordingError("\n".join(f"{given.place}: column {sentence(d)}" for d in differences))
     if heldout:
-        training, judges = list(recordings.sessions), _apart(heldout, recordings.sessions)
+        training, held_out = list(recordings.sessions), _apart(heldout, recordings.sessions)
     else:
-        training, judges = split(recordings.sessions)
-    return Sessions(training, judges, _apart(baseline, [*training, *judges]) if baseline else [])
+        training, held_out = split(recordings.sessions)
+    return Sessions(training, held_out, _apart(baseline, [*training, *held_out]) if baseline else [])
 
 
 def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:
-    """Sessions that are none of the others; where names coincide, those given take their label before theirs."""
+    """The given sessions; RecordingError if one is among the others. Where names coincide, theirs get their label as
+    a prefix."""
     seen = {digest([r]): r.name for r in others}
     for r in given.sessions:
         if same := seen.get(digest([r])):

@@ -1,4 +1,4 @@
-"""Recordings: the sessions of a folder, checked."""
+"""Reads, checks and writes recordings: the sessions of a folder."""
 
 import hashlib
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ from simgap.recordings import check_recording
 from simgap.types import MOST_ROWS, Recording, RecordingError, Schema
 
 LARGEST = float(np.sqrt(np.finfo(np.float32).max / MOST_ROWS))
-"""Greatest size of a value: the squares of a session's values have a finite sum in single precision, which the
-diagnosis and the learning compute in."""
+"""Maximum absolute value: the squares of a session's values then have a finite sum in single precision, in which the
+diagnosis and the learning compute."""
 _SHOWN = 20  # files that are named where none can be used
 
 
@@ -27,8 +27,8 @@ def read_recordings(
     """Every session under `folder` that matches a glob pattern, by relative path, and why others cannot be used.
 
     A session is a CSV, Parquet or pickle file; its name is its path in the folder without the suffix. `time_step` [s]
-    lies between the rows of pickles, which have no time stamps. An error names file, column, row and remedy; it leaves
-    the other sessions alone. Raises RecordingError when the folder has no usable session at all.
+    is the interval between rows of pickles, which have no time stamps. An error names file, column, row and remedy,
+    and does not affect other sessions. Raises RecordingError where the folder has no usable session at all.
     """
     recordings: list[Recording] = []
     errors: list[RecordingError] = []
@@ -56,9 +56,9 @@ def read_recordings(
 
 
 class _WithoutCommands(Schema):
-    """The schema of a machine without commands, as `check_recording` takes it: with one, of which no file has a column.
+    """The schema of a machine without commands, as `check_recording` accepts it: with one command that has no column.
 
-    `simgap.recordings` has no case for it, as a change there makes every trained model stale.
+    `simgap.recordings` does not handle this case, as a change there would invalidate every trained model.
     """
 
     @property
@@ -67,9 +67,9 @@ class _WithoutCommands(Schema):
 
 
 def checked(path: Path | str, schema: Schema, columns: Columns) -> Recording:
-    """Columns as a recording that can be computed with; RecordingError that names file, column, row and remedy.
+    """Columns as a usable recording; RecordingError that names file, column, row and remedy.
 
-    Its state holds the columns that recordings have; the schema may have more states.
+    Its state holds the recorded columns; the schema may have more states.
     """
     there = schema.measured
     if there.command:
@@ -99,7 +99,7 @@ def digest(recordings: Sequence[Recording]) -> str:
 
 
 def printable(text: str) -> str:
-    """A text that can be printed and written: what of a file's name is no UTF-8 as `\\udcff`."""
+    """A text that can be printed and written: bytes of a file name that are not UTF-8 become `\\udcff`."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
@@ -116,20 +116,20 @@ def session_names(folder: Path) -> list[str]:
 def write_recording(folder: Path, recording: Recording, schema: Schema) -> Path:
     """Write a session as Parquet in the documented format, at its name below `folder`; returns the path.
 
-    Columns are those of the schema as 64-bit floats, in the schema's units. Raises RecordingError when the name would
+    Columns are those of the schema as 64-bit floats, in the schema's units. Raises RecordingError where the name would
     leave the folder.
     """
     path = folder / f"{_relative_name(recording.name)}.parquet"
     values = np.column_stack([recording.time_s, recording.state, recording.command]).astype(np.float64)
     table = pa.table(dict(zip(schema.columns, values.T, strict=True)))
     with replacing(path) as temporary:
-        # The checksum tells a damaged value from a measured one when the file is read.
+        # When the file is read, the checksum reveals damaged values.
         pq.write_table(table, temporary, write_page_checksum=True)
     return path
 
 
 def _relative_name(name: str) -> str:
-    """The session's name, which becomes a path; RecordingError when that would not lie in the folder or read back."""
+    """The session's name, which becomes a path; RecordingError where that leaves the folder or cannot be read back."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or not path.parts or str(path) != name or "\0" in name:
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""Where sessions lie in a folder, by the names of files alone. Cheap to import: a wrong folder is reported at once."""
+"""Finds sessions in a folder by file names alone. Cheap to import: a wrong folder is reported at once."""
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -6,9 +6,9 @@ from pathlib import Path, PurePosixPath
 from simgap.types import ConfigError, RecordingError
 
 SUFFIXES = (".csv", ".parquet", ".pickle")
-"""What a session's file may end in, in upper or lower case."""
+"""Suffixes of a session's file, in upper or lower case."""
 TABLES = (".csv", ".parquet")
-"""The same of a table to import."""
+"""Suffixes of a table to import, in upper or lower case."""
 
 
 def session_files(folder: Path, patterns: Sequence[str] = ("**/*",)) -> list[Path]:
@@ -37,13 +37,13 @@ def session_files(folder: Path, patterns: Sequence[str] = ("**/*",)) -> list[Pat
 
 
 def sources(folder: Path) -> list[Path]:
-    """The bags, tables and LeRobot data sets of a folder, by path; or the one that it is."""
+    """The bags, tables and LeRobot data sets of a folder, by path; or the path itself, if it is one of these."""
     if is_bag(folder) or is_lerobot(folder) or folder.suffix.lower() in TABLES:
         return [folder]
     if not folder.is_dir():
         raise RecordingError(f"{folder}: there is no such bag, table or folder. Give the folder of the recordings.")
     found = [p for p in folder.rglob("*") if p.suffix.lower() in TABLES or is_bag(p) or is_lerobot(p)]
-    # What lies in the folder of a ROS 2 bag or of a data set is part of it.
+    # Files in the folder of a ROS 2 bag or of a data set are part of it.
     alone = [p for p in found if not any(is_bag(parent) or is_lerobot(parent) for parent in p.parents)]
     if not alone:
         raise RecordingError(
@@ -53,7 +53,7 @@ def sources(folder: Path) -> list[Path]:
 
 
 def mapping_file(path: Path) -> Path:
-    """The mapping file itself; ConfigError where there is none."""
+    """The path of the mapping file; ConfigError where there is none."""
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file. Give the mapping file (docs/tutorials/own_robot.md).")
     return path

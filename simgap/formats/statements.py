@@ -1,4 +1,4 @@
-"""Statements of diagnoses as files: written in the present layout, read in the one before it as well."""
+"""Statements of diagnoses as files: written in the present layout; the previous layout can also be read."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,17 +19,17 @@ _MODELS = {"as_is": "nominal"}
 
 
 def read(path: Path) -> dict[str, Any]:
-    """A statement in the present layout; SimgapError where the file holds none, or one of a later version."""
-    found = read_json(path)
-    schema = found.get("schema") if isinstance(found, dict) else None
+    """A statement in the present layout; SimgapError where the file holds none, or one of a later layout."""
+    statement = read_json(path)
+    schema = statement.get("schema") if isinstance(statement, dict) else None
     if schema not in (1, SCHEMA):
         raise SimgapError(f"{path}: `schema` is {schema}; this version of simgap reads 1 and {SCHEMA}. Diagnose again.")
-    return upgraded(found) if schema == 1 else found
+    return upgraded(statement) if schema == 1 else statement
 
 
 def upgraded(statement: Mapping[str, Any]) -> dict[str, Any]:
-    """A statement of layout 1 in layout 2; parts that it lacks stay away."""
-    found = _renamed(statement, _PARTS) | {"schema": SCHEMA}
+    """A statement of layout 1 in layout 2; parts that it lacks stay absent."""
+    new = _renamed(statement, _PARTS) | {"schema": SCHEMA}
     for part, change in (
         ("effects", lambda effects: [_effect(e) for e in effects]),
         ("closest_matches", lambda effects: [_effect(e) for e in effects]),
@@ -40,9 +40,9 @@ def upgraded(statement: Mapping[str, Any]) -> dict[str, Any]:
         ("fit", lambda fit: _fit(fit)),
         ("replay", lambda replay: _replay(replay)),
     ):
-        if found.get(part):
-            found[part] = change(found[part])
-    return found
+        if new.get(part):
+            new[part] = change(new[part])
+    return new
 
 
 def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
@@ -50,17 +50,17 @@ def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, A
 
 
 def _effect(effect: Mapping[str, Any]) -> dict[str, Any]:
-    """With a support in place of a time and a regime."""
-    found = dict(effect)
-    from_s, regime = found.pop("from_s", None), found.pop("regime", None)
-    ends = {c["name"]: c["value"] for c in found.get("constants", [])}
+    """An effect with a support in place of a time and a regime."""
+    changed = dict(effect)
+    from_s, regime = changed.pop("from_s", None), changed.pop("regime", None)
+    ends = {c["name"]: c["value"] for c in changed.get("constants", [])}
     if regime is not None:
         support = {"kind": "regime", "regime": regime}
     elif "to" in ends:
         support = {"kind": "window", "from_s": from_s, "to_s": ends["to"]}
     else:
         support = {"kind": "always"} if from_s is None else {"kind": "from", "from_s": from_s}
-    return {**found, "support": NO_LIMITS | support}
+    return {**changed, "support": NO_LIMITS | support}
 
 
 def _located(located: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Tables as columns of numbers: CSV and Parquet."""
+"""Reads tables, CSV and Parquet, as columns of numbers."""
 
 import csv
 import math
@@ -16,7 +16,7 @@ from simgap.formats.column_names import nearest, unused
 from simgap.types import MOST_ROWS, Field, RecordingError, Schema
 
 ROW_LIMIT = 2**20
-"""Most characters in a row of a CSV file: some ten thousand columns."""
+"""Maximum characters in a row of a CSV file: some ten thousand columns."""
 _TEXT_SHOWN = 40  # characters of a file's own text in a message
 Columns = dict[str, Float[np.ndarray, " T"]]
 
@@ -25,17 +25,17 @@ def read_table(path: Path, columns: Sequence[str]) -> Columns:
     """Columns of a CSV or Parquet file as numbers, blanks as NaN; RecordingError names file, column and row."""
     schema = Schema(state=(), command=tuple(Field(name, "", "position", "world") for name in columns))
     try:
-        found = table_columns(path, schema)
+        table = table_columns(path, schema)
     except OSError as error:
         raise unreadable(path, error) from None
-    missing = [name for name in columns if name not in found]
+    missing = [name for name in columns if name not in table]
     if missing:
         there = column_names(path)
         raise RecordingError(
             f"{path}: column {', '.join(missing)} is missing{nearest(missing, there)}. {unused(there, columns)} "
             "Correct the mapping file, or leave the file out."
         )
-    return found
+    return table
 
 
 def table_columns(path: Path, schema: Schema) -> Columns:
@@ -47,7 +47,7 @@ def table_columns(path: Path, schema: Schema) -> Columns:
 
 
 def column_names(path: Path) -> list[str]:
-    """The columns that a CSV or Parquet file has; errors as `table_columns` has them."""
+    """Names of the columns of a CSV or Parquet file; raises as `table_columns` does."""
     if path.suffix.lower() == ".csv":
         return [name.strip() for name in next(_csv_rows(path), [])]
     try:
@@ -57,12 +57,12 @@ def column_names(path: Path) -> list[str]:
 
 
 def unreadable(path: Path, error: OSError) -> RecordingError:
-    """The error for a file that the operating system does not let us read."""
+    """The error for a file that the operating system refuses to open."""
     return RecordingError(f"{path}: cannot be read ({error}). Mend or remove the file.")
 
 
 def _csv_columns(path: Path, schema: Schema) -> Columns:
-    """The schema's columns as numbers. A row is forgotten once its numbers are read: memory is 8 bytes a number."""
+    """The schema's columns as numbers. Rows are not kept as text, so memory is 8 bytes a number."""
     rows = _csv_rows(path)
     header = [name.strip() for name in next(rows, [])]
     if not header:
@@ -90,7 +90,7 @@ def _csv_columns(path: Path, schema: Schema) -> Columns:
 
 
 def _csv_rows(path: Path) -> Iterator[list[str]]:
-    """Header and rows of a CSV file as text; a byte order mark and blank lines at the end do no harm."""
+    """Header and rows of a CSV file as text; ignores a byte order mark, and blank lines at the end."""
     room = ROW_LIMIT
 
     def lines(file: TextIO) -> Iterator[str]:
@@ -134,7 +134,7 @@ def _refuse_separators(path: Path, header: Sequence[str], schema: Schema) -> Non
 def _number(path: Path, column: str, row: int, text: str) -> float:
     """A text as a number, a blank as NaN; RecordingError where it is neither."""
     try:
-        if "_" in text:  # python reads 1_000 as a number; in a table it is a slip
+        if "_" in text:  # Python reads 1_000 as a number; in a table it is a mistake
             raise ValueError
         return float(text) if text.strip() else math.nan
     except ValueError:
@@ -169,8 +169,8 @@ def _arrow_numbers(path: Path, name: str, column: pa.ChunkedArray) -> Float[np.n
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
-    said = " ".join(str(error).split())
-    return RecordingError(f"{path}: is no whole Parquet file ({said}). Write or copy it again, or leave it out.")
+    reason = " ".join(str(error).split())
+    return RecordingError(f"{path}: is no whole Parquet file ({reason}). Write or copy it again, or leave it out.")
 
 
 def _too_many(path: Path) -> RecordingError:

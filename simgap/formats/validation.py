@@ -1,4 +1,4 @@
-"""What a person wrote, as a typed form: every value that is wrong is named."""
+"""Checks what a person wrote against a typed form; names every wrong value."""
 
 import reprlib
 from typing import Any, TypeVar
@@ -10,18 +10,18 @@ from simgap.types import ConfigError
 Form = TypeVar("Form", bound=BaseModel)
 
 
-def _no_truth(value: Any) -> Any:
+def _refuse_bool(value: Any) -> Any:
     if isinstance(value, bool):
         raise ValueError("Input should be a number")
     return value
 
 
-NUMBER = BeforeValidator(_no_truth)
-"""Annotates a number, behind its range: pydantic alone takes true for 1."""
+NUMBER = BeforeValidator(_refuse_bool)
+"""Annotates a number, after its range: pydantic alone accepts true as 1."""
 
 
 def check(form: type[Form], values: Any) -> Form:
-    """The values as that form; ConfigError names every one that is wrong."""
+    """The values as that form; ConfigError names every wrong value."""
     try:
         return form.model_validate(values)
     except ValidationError as error:
@@ -29,7 +29,7 @@ def check(form: type[Form], values: Any) -> Form:
 
 
 def explained(error: ValidationError) -> str:
-    """A line for every value that is wrong: its key, what it must be, what it is."""
+    """A line for every wrong value: its key, what it must be, what it is."""
     lines = []
     for wrong in error.errors(include_url=False):
         came = f"; it is {reprlib.repr(wrong['input'])}" if isinstance(wrong["input"], str | int | float) else ""

@@ -1,4 +1,4 @@
-"""The one door to YAML files: what they hold, or one line that says what is wrong and where."""
+"""Reads all YAML files; an error says in one line what is wrong and where."""
 
 import re
 from pathlib import Path
@@ -9,30 +9,30 @@ import yaml
 from simgap.types import ConfigError
 
 DEEPEST = 20
-"""Levels of blocks in blocks at most; the project's own files have four."""
+"""Maximum levels of nested blocks; the project's own files have four."""
 LARGEST = 2**20
-"""Bytes of a file at most."""
+"""Maximum size of a file [bytes]."""
 LONGEST_NUMBER = 100
-"""Characters of a whole number at most. One of 64 bits has twenty; of thousands, Python refuses to print it."""
+"""Maximum characters of an integer. One of 64 bits has twenty; Python refuses to print one of thousands."""
 _MERGE = re.compile(r"^(<{7}|={7}|>{7}|\|{7})( .*)?$", re.MULTILINE)
-"""What git writes between the two sides of a merge that it could not finish."""
+"""Marks that git writes around the two sides of a merge that it could not finish."""
 _WHOLE = "tag:yaml.org,2002:int"
 
 
 class _Problem(yaml.MarkedYAMLError):
-    """With the place in the file and no more."""
+    """A problem, with its place in the file and no more."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses what YAML admits and nobody means: a key that stands twice, of which the last would win; and what can
-    fill memory: nesting without end, and parts that repeat others."""
+    """Refuses what YAML allows but nobody means: a key that occurs twice, of which the last would win. Also refuses
+    what can fill memory: unlimited nesting, and parts that repeat others."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__(stream)
         self._within: list[str] = []
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """A node, once its place is known."""
+        """A node; an error where it repeats another part or is nested too deep."""
         if self.check_event(yaml.AliasEvent):
             alias = self.peek_event()
             raise _Problem(problem=f"*{alias.anchor} repeats another part; write it out", problem_mark=alias.start_mark)
@@ -41,12 +41,12 @@ class _Loader(yaml.SafeLoader):
                            problem_mark=self.peek_event().start_mark)  # fmt: skip
         self._within.append(index.value if isinstance(index, yaml.ScalarNode) else "")
         try:
-            return super().compose_node(parent, index)  # type: ignore[arg-type]  # of a block, the key's node
+            return super().compose_node(parent, index)  # type: ignore[arg-type]  # in a block, the key's node
         finally:
             self._within.pop()
 
     def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
-        """A value; a whole number that is too long is an error."""
+        """A value; an error where it is an integer that is too long."""
         node = super().compose_scalar_node(anchor)
         if node.tag == _WHOLE and len(node.value) > LONGEST_NUMBER:
             raise _Problem(problem=f"{self._named() or 'the file'} holds a whole number of {len(node.value):,} "
@@ -54,7 +54,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """A block, once its keys are known to be different."""
+        """A block; an error where a key occurs twice."""
         node = super().compose_mapping_node(anchor)
         lines: dict[str, int] = {}
         for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
@@ -70,7 +70,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file holds; ConfigError, one line, when it is missing or damaged, or has a key twice."""
+    """The content of a YAML file; ConfigError, one line, where it is missing or damaged, or has a key twice."""
     try:
         if path.stat().st_size > LARGEST:
             raise ConfigError(f"{path}: has more than {LARGEST:,} bytes. Is it the right file?")

@@ -9,18 +9,18 @@ from simgap.loading.user_code import RAISED, check_tuple, duplicates, has, is_fi
 from simgap.types import ConfigError, Parameter
 
 MEMBERS = ("schema", "parameters", "time_step", "step")
-"""What a `StepModel` has."""
+"""Members of a `StepModel`."""
 ENGINE_MEMBERS = ("schema", "parameters", "time_step", "parts", "terms", "rows")
-"""What an `Engine` has."""
+"""Members of an `Engine`."""
 _HELP = "docs/how_to/own_simulator.md has a complete example."
 
 
 def check(simulator: Any, name: str) -> None:
-    """Raise a ConfigError that begins with `name` unless the object is a usable `StepModel`, or an `Engine`: what has
-    `rows`, which are tried as `check_rows` says.
+    """Raise a ConfigError that begins with `name` unless the object is a usable `StepModel` or `Engine`.
 
-    The step is tried at the nominal parameters, with all states and commands zero and with typical ones: it must give
-    a finite next state, the same each time, under jax.jit, jax.vmap and jax.jacfwd.
+    An object with `rows` is an engine; see `check_rows`. Otherwise its step is tried at the nominal parameters, with
+    all states and commands zero and with typical ones. It must give a finite next state, the same each time, under
+    jax.jit, jax.vmap and jax.jacfwd.
     """
     needed = ENGINE_MEMBERS if has(simulator, "rows") else MEMBERS
     missing = [m for m in needed if not has(simulator, m)]

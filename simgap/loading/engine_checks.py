@@ -1,4 +1,4 @@
-"""Tries an engine: its terms, the shape of its rows, that they repeat and do not depend on each other."""
+"""Checks an engine: its terms, the shape of its rows, and that rows repeat and do not depend on each other."""
 
 import numpy as np
 from jaxtyping import Float
@@ -55,10 +55,11 @@ def _try(engine: Engine, name: str) -> None:
         raise ConfigError(f"{name}: rows must be finite at nominal parameters, with all states and commands zero and "
                           f"with typical ones ({state[1].tolist()}). Look for a division by zero.")  # fmt: skip
     if not (np.allclose(both, turned[::-1], rtol=0, atol=1e-12) and np.allclose(both[1:], alone, rtol=0, atol=1e-12)):
-        raise ConfigError(f"{name}: a row must not depend on the rows beside it or before it; in another order they "
-                          "differ. Set the whole state before each row, also what the engine remembers.")  # fmt: skip
+        raise ConfigError(f"{name}: a row must not depend on the other rows of a call or on earlier calls; in "
+                          "another order they differ. Set the whole state before each row, also what the engine "
+                          "remembers.")  # fmt: skip
 
 
 def _typical(fields: tuple[Field, ...]) -> list[float]:
-    """No two values alike."""
+    """Typical values, all different."""
     return [_TYPICAL[f.kind] * (1 + 0.1 * i) for i, f in enumerate(fields)]

@@ -18,7 +18,7 @@ from simgap.types import ConfigError, Sessions, StepModel
 
 
 class Used(NamedTuple):
-    """A simulator that is used, its name, and what remembers the model file that it is of (see `recalled`)."""
+    """A simulator in use, its name, and the record of its model file, if it has one (see `recalled`)."""
 
     simulator: StepModel | Engine
     name: str
@@ -26,12 +26,12 @@ class Used(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What of a model file is left out or cannot be diagnosed, in words."""
+        """Parts of a model file that are left out or cannot be diagnosed, in words."""
         return () if self.model_file is None else cast(Any, self.simulator).notes
 
 
 def prepared(simulator: str | ModelFile, see: Callable[[], Seen]) -> Used:
-    """The simulator that a name or a model file is of; `see()` looks at the recordings, which a model file is read for.
+    """The simulator that a name or a model file stands for. `see()` looks at the recordings, which a model file needs.
 
     Raises as `load` and `ModelFile.engine` do.
     """
@@ -42,29 +42,29 @@ def prepared(simulator: str | ModelFile, see: Callable[[], Seen]) -> Used:
 
 
 def started(used: Used, sessions: Sessions, say: Callable[[str], None]) -> Used:
-    """What a diagnosis of these sessions starts from.
+    """The simulator that a diagnosis of these sessions starts from.
 
-    Where replays show that the stiffness of a model file's position servos is wrong by far, all are rescaled together,
-    and `say` says so: the search begins near what it looks for.
+    Where replays show that the stiffness of a model file's position servos is far off, all are rescaled together, and
+    `say` reports it. The search then starts near its result.
     """
     if used.model_file is None:
         return used
     from simgap.simulators.mujoco import rescaled, rescaling, scan
 
-    found = scan(cast(Any, used.simulator), sessions.fitted)
-    if found is None or not found.far:
+    replays = scan(cast(Any, used.simulator), sessions.fitted)
+    if replays is None or not replays.far:
         return used
-    engine = rescaled(cast(Any, used.simulator), found.best)
+    engine = rescaled(cast(Any, used.simulator), replays.best)
     say(rescaling(engine))
-    return Used(cast(Engine, engine), used.name, used.model_file | {"servo_share": found.best})
+    return Used(cast(Engine, engine), used.name, used.model_file | {"servo_share": replays.best})
 
 
 def load(spec: str) -> StepModel | Engine:
-    """The simulator that `spec` names: a built-in one, or `package.module:name`, an object or what makes one.
+    """The simulator that `spec` names: a built-in one, or `package.module:name`.
 
-    `name` may be an instance, or a class or function of that module that gives one when called without arguments. The
-    module must be importable as it stands. Raises ConfigError when there is no such simulator, when it fails `check`,
-    or when its code ends its process or does not end.
+    `name` may be an instance, or a class or function of that module that returns one when called without arguments. The
+    module must be importable as it is. Raises ConfigError when there is no such simulator, when it fails `check`, or
+    when its code ends its process or does not end.
     """
     if spec in BUILT_IN:
         return Spot()
@@ -73,10 +73,10 @@ def load(spec: str) -> StepModel | Engine:
 
 
 def find(spec: str) -> Any:
-    """What `package.module:name` names, as it stands there."""
+    """The object that `package.module:name` names; ConfigError where there is none."""
     module, name = names.place(spec)
     try:
-        found = _imported(module)
+        imported = _imported(module)
     except ImportError as error:
         raise ConfigError(
             f"{spec}: the module {module} must be importable; importing it gave {reason(error)}. Install what it needs "
@@ -87,9 +87,9 @@ def find(spec: str) -> Any:
             f"{spec}: the module {module} must import without an error; importing it gave {reason(error)}. Correct the "
             "module, and keep what a script does below `if __name__ == '__main__':`."
         ) from None
-    if hasattr(found, name):
-        return getattr(found, name)
-    there = [n for n, value in vars(found).items() if not n.startswith("_") and has(value, "step")]
+    if hasattr(imported, name):
+        return getattr(imported, name)
+    there = [n for n, value in vars(imported).items() if not n.startswith("_") and has(value, "step")]
     raise ConfigError(
         f"{spec}: the module must have the object {name}; it has not. Correct the name behind the colon (objects with "
         f"a step are {', '.join(there) or 'none'})."
@@ -97,21 +97,21 @@ def find(spec: str) -> Any:
 
 
 def _imported(module: str) -> ModuleType:
-    """The module; the user's own where a library's has its name, under another name: the library keeps its place."""
+    """The module. If a library has the same name, the user's own is imported under another name."""
     top, dot, rest = module.partition(".")
     own = names.users_own(top)
     if own is None:
         return importlib.import_module(module)
     alias = f"own_{top}"
     if alias not in sys.modules:
-        found = importlib.util.spec_from_file_location(
+        spec = importlib.util.spec_from_file_location(
             alias, own.origin, submodule_search_locations=own.submodule_search_locations
         )
-        assert found is not None  # it has a loader
-        assert found.loader is not None
-        sys.modules[alias] = importlib.util.module_from_spec(found)
+        assert spec is not None  # it has a loader
+        assert spec.loader is not None
+        sys.modules[alias] = importlib.util.module_from_spec(spec)
         try:
-            found.loader.exec_module(sys.modules[alias])
+            spec.loader.exec_module(sys.modules[alias])
         except BaseException:
             del sys.modules[alias]
             raise
@@ -119,7 +119,7 @@ def _imported(module: str) -> ModuleType:
 
 
 def make(found: Any, spec: str) -> Any:
-    """The object itself, or what the class or function gives that its module defines; nothing else is called."""
+    """The object itself; for a class or function that its module defines, what it returns. Nothing else is called."""
     if not isinstance(found, type | FunctionType):
         return found
     module, name = names.place(spec)

@@ -1,4 +1,4 @@
-"""Robots given as a model file, an MJCF or a URDF, which MuJoCo steps.
+"""Robots given as a model file (MJCF or URDF), which MuJoCo steps.
 
 Cheap to import, as `names` is: a wrong file name is reported before JAX is loaded.
 """
@@ -24,15 +24,15 @@ SUFFIXES = (".xml", ".mjcf", ".urdf")
 PerJoint = float | Mapping[str, float] | None
 """A value for all joints, or for some by name."""
 STRONGEST = 1e9
-"""Most of a servo's stiffness, damping and force, in SI units: beyond any machine, and sums of them stay finite."""
+"""Maximum of a servo's stiffness, damping and force, in SI units: beyond any machine, and sums stay finite."""
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A robot's MJCF or URDF as the simulator, with the position servos of joints that have no actuator in it.
+    """A robot's MJCF or URDF as the simulator, with position servos for joints that have no actuator in it.
 
-    kp: stiffness [N m/rad, N/m]. kv: damping by the servo [N m s/rad, N s/m]. force_limit: the most it can do [N m, N].
-    Each is of all these joints, or of some by name. ConfigError names one that no servo can have.
+    kp: stiffness [N m/rad, N/m]. kv: damping by the servo [N m s/rad, N s/m]. force_limit: maximum force [N m, N].
+    Each is for all these joints, or for some by name. ConfigError names a value that no servo can have.
     """
 
     path: str | Path
@@ -61,9 +61,9 @@ class ModelFile:
             raise ConfigError(f"{self.path}: to step a model, MuJoCo must be installed: pip install 'simgap[mujoco]'.")
 
     def engine(self, seen: Seen) -> Engine:
-        """What steps the model, for recordings with these columns and this interval.
+        """The engine that steps the model, for recordings with these columns and this interval.
 
-        Raises SimgapError where the model cannot be read, ConfigError where no column is of a joint of it.
+        Raises SimgapError where the model cannot be read, ConfigError where no column belongs to a joint of it.
         """
         self.check()
         from simgap.simulators.mujoco import Servos, load
@@ -85,7 +85,7 @@ class ModelFile:
         return self.described(time_step)[0].columns
 
     def described(self, time_step: float) -> tuple[Schema, dict[str, tuple[float, float]]]:
-        """The schema of recordings of all that the model has, and the ranges of its joints by name [rad, m]."""
+        """The schema with all columns that the model could have, and the ranges of its joints by name [rad, m]."""
         self.check()
         from simgap.simulators.mujoco import Servos, load
         from simgap.simulators.mujoco.machine import ranges
@@ -94,17 +94,17 @@ class ModelFile:
         return engine.schema, ranges(engine.model, engine.machine)
 
     def remembered(self, seen: Seen) -> dict[str, Any]:
-        """What `diagnosis.json` keeps of it, as `recalled` reads it."""
+        """The record of it in `diagnosis.json`, as `recalled` reads it."""
         return {**asdict(self), "path": str(Path(self.path).resolve()), **seen._asdict(), "servo_share": 1.0}
 
 
 def _is_possible(option: str, value: Any) -> bool:
-    """Whether a servo can have it: one without damping is one, one without stiffness or force is none."""
+    """Whether a servo can have this value: damping may be zero; stiffness and force limit may not."""
     return issubclass(type(value), Real) and (value > 0 or (value == 0 and option == "kv")) and value <= STRONGEST
 
 
 def recalled(kept: Mapping[str, Any]) -> Engine:
-    """The engine that `ModelFile.remembered` is of; ConfigError where its file is no longer there."""
+    """The engine that `ModelFile.remembered` recorded; ConfigError where its file is no longer there."""
     from simgap.formats.peek import Seen
 
     options = {name: kept[name] for name in ("path", "kp", "kv", "force_limit")}
@@ -117,5 +117,5 @@ def recalled(kept: Mapping[str, Any]) -> Engine:
 
 
 def named(spec: str) -> str | ModelFile:
-    """What a text names: a model file, or else a simulator by its name in Python."""
+    """The model file that a text names, or else the text itself: the name of a simulator."""
     return ModelFile(spec) if Path(spec).suffix.lower() in SUFFIXES else spec

@@ -1,4 +1,4 @@
-"""Which simulator a text names. Cheap to import: a name that leads nowhere is reported before JAX is loaded."""
+"""Which simulator a text names. Cheap to import: an unknown name is reported before JAX is loaded."""
 
 import importlib.util
 import sys
@@ -23,7 +23,8 @@ class Place(NamedTuple):
 
 
 def place(spec: str) -> Place:
-    """What `package.module:name` says. No user's code runs; ConfigError where it says nothing or no such module is."""
+    """Module and name in `package.module:name`; runs no user code. ConfigError where the form is wrong or there is no
+    such module."""
     module, colon, name = spec.partition(":")
     if not colon or not name.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
         raise ConfigError(
@@ -40,13 +41,13 @@ def place(spec: str) -> Place:
 
 
 def users_own(top: str) -> ModuleSpec | None:
-    """The user's own module of that name, where a library has the name too: the user means the own one.
+    """The user's own module of that name, where a library has one of the same name; None otherwise.
 
-    It must not take the library's place, which other libraries import. None where no two share the name.
+    The user means their own. It must not replace the library's, which other libraries import.
     """
     folders = {library: [p for p in sys.path if _in_library(p) == library] for library in (True, False)}
     own, other = (PathFinder.find_spec(top, folders[library]) for library in (False, True))
-    # Without a loader it is a mere folder, over which Python prefers any module.
+    # Without a loader it is only a folder; Python prefers any module over that.
     return own if own is not None and own.loader is not None and other is not None else None
 
 
@@ -55,15 +56,15 @@ def _in_library(entry: str) -> bool:
 
 
 def _missing(module: str) -> Iterator[str]:
-    """The first of the module and the packages above it that is not there."""
+    """The first of the module and its parent packages that does not exist."""
     parts = module.split(".")
-    found = users_own(parts[0]) or _spec(parts[0])
+    spec = users_own(parts[0]) or _spec(parts[0])
     for k in range(len(parts)):
         name = ".".join(parts[: k + 1])
-        if k and found is not None:
-            inside = found.submodule_search_locations
-            found = PathFinder.find_spec(name, inside) if inside else None
-        if found is None:
+        if k and spec is not None:
+            inside = spec.submodule_search_locations
+            spec = PathFinder.find_spec(name, inside) if inside else None
+        if spec is None:
             yield name
             return
 
@@ -71,5 +72,5 @@ def _missing(module: str) -> Iterator[str]:
 def _spec(top: str) -> ModuleSpec | None:
     try:
         return importlib.util.find_spec(top)
-    except ValueError:  # of what was not imported, such as __main__
+    except ValueError:  # for a module that was not imported, such as __main__
         return None

@@ -5,13 +5,13 @@ from typing import Any, get_args
 from simgap.loading.user_code import check_tuple, duplicates, shown
 from simgap.types import Axis, ConfigError, Field, Frame, Kind, Schema
 
-# Kinds that say the same of a body's axis: where it is, how fast it moves, what drives it.
+# The role of each kind on a body's axis; an axis may have each role once.
 _STATE_ROLES = {"position": "position or angle", "angle": "position or angle", "velocity": "velocity"}
 _COMMAND_ROLES = {"velocity": "velocity or force", "force": "velocity or force"}
 
 
 def check_schema(schema: Any, name: str) -> None:
-    """ConfigError that begins with `name` unless it is a schema whose columns can be distinguished."""
+    """ConfigError that begins with `name` unless it is a valid schema: names, units, bodies, axes and mounts."""
     if not isinstance(schema, Schema):
         raise ConfigError(
             f"{name}: schema must be a simgap.types.Schema; it is {shown(schema)}. Write "
@@ -60,8 +60,8 @@ def _check_field(field: Field, name: str) -> None:
 
 
 def _check_geometry(schema: Schema, name: str) -> None:
-    """Bodies and axes differ, and mounts join bodies that there are."""
-    # In the order of their first state column, as simgap.layout counts them.
+    """ConfigError unless each axis of a body has one field per role, and mounts join bodies that exist."""
+    # In the order of their first state column, as in simgap.layout.
     bodies = list(dict.fromkeys(f.body for f in schema.state if f.body))
     known = ", ".join(bodies) or "none"
     for field in schema.command:

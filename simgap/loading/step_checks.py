@@ -1,4 +1,4 @@
-"""Tries a step: its shape, that it repeats, and that JAX can trace and differentiate it."""
+"""Checks a step: its shape, that it repeats, and that JAX can trace and differentiate it."""
 
 from typing import NamedTuple
 
@@ -24,10 +24,10 @@ class _Trial(NamedTuple):
 
 def check_step(simulator: StepModel, name: str) -> None:
     """ConfigError that begins with `name` unless the step repeats, is finite, and can be traced and differentiated."""
-    # What compiles comes last: most mistakes show without.
+    # Checks that compile come last, as most mistakes show without.
     trial = _trial(simulator)
     first = _outputs(simulator, trial, name)
-    # All points again in the same order: what a step remembers of one point shows at the other.
+    # All points again in the same order: if a step remembers one point, it shows at the other.
     if not np.array_equal(first, _outputs(simulator, trial, name), equal_nan=True):
         raise ConfigError(
             f"{name}: step must give the same next state for the same input; a second call gave another. Keep what it "
@@ -47,7 +47,7 @@ def check_step(simulator: StepModel, name: str) -> None:
 def _trial(simulator: StepModel) -> _Trial:
     params = [(p.low + p.high) / 2 if p.nominal is None else p.nominal for p in simulator.parameters]
     states, commands = (
-        # No two values alike: a hand that lies on its base has no direction.
+        # All values differ: a hand exactly at its base would have no direction.
         jnp.array([[_TYPICAL[f.kind] * (1 + 0.1 * i) * scale for i, f in enumerate(fields)] for scale in (0, 1)])
         for fields in (simulator.schema.state, simulator.schema.command)
     )
@@ -94,7 +94,7 @@ def _check_traceable(simulator: StepModel, trial: _Trial, name: str) -> None:
 
 def _check_differentiable(simulator: StepModel, trial: _Trial, name: str) -> None:
     def slopes(*point: Array) -> list[Array]:
-        # One argument at a time: an infinite slope makes the slopes by all that are taken together nan.
+        # One argument at a time: together, one infinite derivative would make all of them nan.
         return [jax.jacfwd(simulator.step, argument)(*point) for argument in (1, 2, 0)]
 
     try:

@@ -1,4 +1,4 @@
-"""Tries a user's simulator in a process of its own: what its code does to the process, it does to this one alone.
+"""Tries a user's simulator in a separate process, so that its code can only harm that process.
 
 Cheap to import, as `names` is.
 """
@@ -15,13 +15,13 @@ from simgap.loading.names import BUILT_IN, place
 from simgap.types import ConfigError
 
 PATIENCE_S = 300
-"""Time for importing, making and trying a simulator [s]; a diagnosis compiles its step dozens of times."""
+"""Time limit for importing, making and trying a simulator [s]; a diagnosis compiles its step dozens of times."""
 
 
 def check(simulator: str | ModelFile) -> None:
-    """See whether there is such a simulator, and try one of a user's own; ConfigError says what is wrong.
+    """Check that the simulator exists, and try it if it is a user's own; ConfigError says what is wrong.
 
-    A model file is only looked for: it needs recordings, and runs no code of the user's.
+    For a model file, only its existence is checked: it needs recordings, and runs no user code.
     """
     if isinstance(simulator, ModelFile):
         simulator.check()
@@ -32,7 +32,7 @@ def check(simulator: str | ModelFile) -> None:
 
 @cache
 def _try(spec: str) -> None:
-    """Find, make and check a simulator in another process, once; ConfigError also says how that ended."""
+    """Find, make and check a simulator in another process, once; ConfigError also where that process was ended."""
     start = "import json, sys; sys.path[:] = json.load(sys.stdin); from simgap.loading.trial import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", start, spec, str(PATIENCE_S)], input=json.dumps(sys.path),
@@ -59,12 +59,12 @@ def _try(spec: str) -> None:
 def main() -> None:
     """Find, make and check the simulator `argv[1]` within `argv[2]` seconds.
 
-    Standard output gets a JSON object a line: what is being `doing`, before it is done; last `passed`, or what is
-    `wrong`. Where neither comes, the process was ended by what it was doing.
+    Writes one JSON object per line to standard output: `doing`, before each stage; at the end `passed`, or `wrong` with
+    the error. If neither comes, the last stage ended the process.
     """
     spec, seconds = sys.argv[1:]
     reports = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what the user's code prints is no report
+    os.dup2(2, 1)  # so that output of the user's code does not mix with the reports
     signal.alarm(int(seconds))  # its default action ends the process, in compiled code too
 
     def report(what: str, text: str) -> None:
@@ -77,7 +77,7 @@ def main() -> None:
     from simgap.loading.load import find, make
     from simgap.loading.user_code import reason
 
-    jax.config.update("jax_platforms", "cpu")  # next to nothing is computed: no accelerator's memory is taken for it
+    jax.config.update("jax_platforms", "cpu")  # almost nothing is computed: take no accelerator memory
     try:
         report("doing", "importing its module")
         found = find(spec)

@@ -1,4 +1,4 @@
-"""A simulator with the effects that a diagnosis found: it stands wherever the simulator stood."""
+"""A simulator with the effects that a diagnosis found; it can replace the simulator anywhere."""
 
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -16,18 +16,18 @@ from simgap.recordings import HISTORY
 from simgap.types import Parameter, Schema, Simulator
 
 SETTLING = 16
-"""Rows for which the oldest known command is taken to have been sent, where play or lags remember it."""
+"""Rows for which the oldest known command is taken to have been sent before, where play or lags remember it."""
 
 
 @dataclass(frozen=True)
 class AugmentedSimulator:
-    """`simulator` with the internal constants of all effects at all sites, known and fixed; as a `Simulator`.
+    """`simulator` with known, fixed internal constants of all effects at all sites; as a `Simulator`.
 
-    theta holds everywhere; in each of `regimes` a row of `delta` is added.
+    theta holds everywhere; in each of `regimes` a row of `delta` is added. frozen_scales: the `Scales` of the
+    recordings in which the constants were found and to which they refer, as tuples, so that they can be hashed.
 
-    What the constants refer to, the `Scales` of the recordings they were found in, is held as tuples, so that it can be
-    hashed. Outputs measured late are not taken back, for one state does not say how fast it was reached. The time in
-    a session, which no input of a learning problem holds, is that of the middle of the longest one.
+    Delays of outputs are not inverted, as one state does not say how fast it was reached. The inputs of a learning
+    problem hold no session time; the middle of the longest session is used.
     """
 
     simulator: Simulator
@@ -38,7 +38,7 @@ class AugmentedSimulator:
 
     @staticmethod
     def of(simulator: Simulator, acting: Acting, scales: Scales) -> "AugmentedSimulator":
-        """From the arrays that a diagnosis gives."""
+        """From the arrays of a diagnosis. ValueError where their number of constants is not the simulator's."""
         expected = len(Augmented(simulator).slots)
         for values in (acting.theta, *acting.delta):
             if np.shape(values) != (expected,):
@@ -65,23 +65,23 @@ class AugmentedSimulator:
 
     @cached_property
     def augmented(self) -> Augmented:
-        """The simulator with all effects, whose constants `constants` are."""
+        """The simulator with all effects, whose constants are in `acting`."""
         return Augmented(self.simulator)
 
     @cached_property
     def acting(self) -> Acting:
-        """The constants as arrays of numpy's: laws whose constants are all zero are never traced."""
+        """The constants as numpy arrays, so that laws whose constants are all zero are never traced."""
         theta = np.asarray(self.theta, np.float32)
         return Acting(theta, np.asarray(self.delta, np.float32).reshape(-1, len(theta)), self.regimes)
 
     @cached_property
     def scales(self) -> Scales:
-        """Magnitudes that the constants refer to."""
+        """The magnitudes that the constants refer to."""
         return Scales(*(np.asarray(s) if isinstance(s, tuple) else s for s in self.frozen_scales))  # type: ignore[arg-type]
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The ids of the effects that are in it."""
+        """Ids of its effects."""
         each = (self.acting.theta, *self.acting.delta)
         found = (law.effect.id for theta in each for law in self.augmented.laws(theta, None, *get_args(Place)))
         return tuple(dict.fromkeys(found))
@@ -95,10 +95,10 @@ class AugmentedSimulator:
     def step_from_history(
         self, params: Float[Array, " p"], state: Float[Array, " s"], commands: Float[Array, "3 u"]
     ) -> Float[Array, " s"]:
-        """The next state given u_{t-2}, u_{t-1}, u_t; before them, u_{t-2} was sent all along."""
+        """The next state given u_{t-2}, u_{t-1}, u_t, as if u_{t-2} had been sent all along before."""
         step = partial(self._step, params=params, state=state, commands=commands)
-        # Laws whose constants are known to be zero are not traced, so constants stay numpy's: a step for every
-        # combination of regimes, of which there are few.
+        # Constants stay numpy arrays, as laws whose constants are known to be zero are not traced. So there is one
+        # step for each combination of regimes, of which there are few.
         ways = [(self.acting.theta, jnp.array(True))]
         for regime, delta in zip(self.regimes, self.acting.delta, strict=True):
             there = holds(self.augmented.layout, regime, state, commands[-1])

@@ -1,4 +1,4 @@
-"""A simulator with the parameters that a diagnosis fitted as its nominal ones."""
+"""A simulator whose nominal parameters are those that a diagnosis fitted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,14 +17,14 @@ Kind = TypeVar("Kind", bound=StepModel | Engine)
 
 @dataclass(frozen=True)
 class _Fitted(Generic[Kind]):
-    """`simulator` with other nominal values of its parameters, in all but how it steps."""
+    """`simulator` with other nominal values of its parameters; subclasses add how it steps."""
 
     simulator: Kind
     nominal: tuple[float, ...]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The simulator's own, in their own ranges."""
+        """The simulator's own, with the new nominal values clipped to their ranges."""
         pairs = zip(self.simulator.parameters, self.nominal, strict=True)
         return tuple(replace(p, nominal=float(np.clip(value, p.low, p.high))) for p, value in pairs)
 
@@ -41,7 +41,7 @@ class _Fitted(Generic[Kind]):
 
 @dataclass(frozen=True)
 class Refitted(_Fitted[StepModel]):
-    """A simulator that steps in JAX; as a `Simulator`, where it is one."""
+    """A simulator that steps in JAX; a `Simulator` where the original is one."""
 
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
@@ -91,5 +91,5 @@ def refitted(simulator: StepModel | Engine, phi: Sequence[float]) -> Refitted | 
 
 
 def nominal(simulator: StepModel | Engine) -> Float[np.ndarray, " p"]:
-    """The parameters that a simulator is used with as it is: of one that a diagnosis gave, the fitted ones."""
+    """A simulator's nominal parameters; for one that a diagnosis returned, these are the fitted ones."""
     return Augmented(simulator).nominal

@@ -1,6 +1,6 @@
-"""Tables of an engine along an estimated motion: next states, and their derivatives by differences.
+"""Tables of an engine along an estimated motion: next states, and their derivatives by finite differences.
 
-Once per row the engine is asked what it does there; a search then runs on the tables, thousands of times.
+The engine is evaluated once per row; the search then uses the tables thousands of times.
 """
 
 from collections.abc import Callable
@@ -12,17 +12,17 @@ from jaxtyping import Float
 from simgap.engines import Engine, Table
 
 STEP = 1e-3
-"""Of the usual spread of a state or a command: the step of its differences, in double precision."""
+"""Difference step of a state or a command, as a share of its standard deviation; in double precision."""
 LOG_STEP = 1e-2
-"""Step of a parameter, which is a logarithm."""
+"""Difference step of a parameter, which is a logarithm."""
 EFFORT = 1e-3
-"""Step of an effort [N m or N]; engines are linear in efforts but where contacts or limits stop them."""
+"""Difference step of an effort [N m or N]. Engines are linear in efforts, except at contacts and limits."""
 LEAST = 1e-6
-"""Least step of a state or a command, where it does not vary."""
+"""Smallest difference step of a state or a command, for one that does not vary."""
 
 
 class Points(NamedTuple):
-    """Where an engine is tabulated: parameters, and rows with values of the terms, states and commands."""
+    """Where an engine is tabulated: parameters, and rows of terms, states and commands."""
 
     phi: Float[np.ndarray, " p"]
     terms: Float[np.ndarray, "n k"]
@@ -31,8 +31,8 @@ class Points(NamedTuple):
 
 
 def tabulate(engine: Engine, points: Points) -> Table:
-    """The engine near these points, in single precision. Where it leaves the finite numbers the table holds zeros: the
-    row is then taken to stay where it is."""
+    """The engine near these points, in single precision. Where it diverges, derivatives are zero and the next state is
+    the state itself."""
     points = Points(*(np.asarray(a, np.float64) for a in points))
     phi, terms, state, command = points
     nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
@@ -68,7 +68,7 @@ def by_effort(
     i: int,
     terms: Float[np.ndarray, "n k"] | None = None,
 ) -> Float[np.ndarray, "n s"]:
-    """Derivatives of the next states by the i-th effort."""
+    """Derivatives of the next states with respect to the i-th effort."""
     push = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
     push[:, i] = EFFORT
     nil = np.zeros((len(state), len(engine.terms))) if terms is None else terms
@@ -79,14 +79,16 @@ def by_effort(
 def _by_term(
     engine: Engine, points: Points, i: int, then: Float[np.ndarray, "n s"], nil: Float[np.ndarray, "n a"]
 ) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
-    """Of a parabola in a term its two coefficients: through none of it and what it is, along its slope there. Where it
-    is none, of the line to its size to begin a search at."""
+    """The two coefficients of a parabola in a term: through zero and the term's value, with the slope at that value.
+
+    Where the value is zero: of the line to the first of the term's `starts`.
+    """
     there = points.terms[:, i]
     acts = there != 0
     size = np.where(acts, there, engine.terms[i].starts[0])
 
     def missed(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
-        """Of the next states, where the term has other values."""
+        """`then` minus the next states where the term has these values."""
         terms = np.array(points.terms)
         terms[:, i] = values
         return then - engine.rows(points.phi, terms, points.state, points.command, nil)

@@ -69,7 +69,7 @@ def test_a_full_disk_is_told_of_and_leaves_what_was_there(tmp_path: Path) -> Non
     before = path.read_bytes()
     with (
         full_disk(2000),
-        pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Make room"),
+        pytest.raises(SimgapError, match=r"model\.npz: cannot be written \(File too large\). Free disk space"),
     ):
         save_arrays(path, {"a": np.arange(2000.0)})
     assert path.read_bytes() == before
@@ -213,7 +213,7 @@ def test_a_store_that_stays_locked_is_an_error_when_patience_ends(root: Path, mo
 
 def test_patience_is_what_the_docs_say(root: Path) -> None:
     """In a session of MLflow, which sets another one."""
-    assert "database locked | It is waited for, a minute" in (ROOT / "docs" / "how_to" / "recover.md").read_text()
+    assert "database locked | Simgap waits for a minute" in (ROOT / "docs" / "how_to" / "recover.md").read_text()
     store = SqlAlchemyStore(f"sqlite:///{root / 'mlflow.db'}", str(root))
     with store.ManagedSessionMaker() as session:
         assert session.execute(text("PRAGMA busy_timeout")).scalar() == 60_000

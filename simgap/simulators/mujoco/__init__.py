@@ -1,4 +1,4 @@
-"""Robots given as a MuJoCo model: the engine of a diagnosis. The only package that imports `mujoco`."""
+"""Robots given as a MuJoCo model, as the engine of a diagnosis. The only package that imports `mujoco`."""
 
 from simgap.simulators.mujoco.build import load
 from simgap.simulators.mujoco.engine import MujocoEngine

@@ -1,4 +1,4 @@
-"""What a diagnosis of a model found, in the model's terms: numbers as its XML has them, and the XML with them in it."""
+"""The findings of a diagnosis in the terms of the model: values as in its XML, and the XML with the findings in it."""
 
 from __future__ import annotations
 
@@ -22,44 +22,50 @@ if TYPE_CHECKING:
     from simgap.diagnosis.diagnose import AugmentedModel
 
 LATE = ("delay", "lag")
-"""Effects on commands that MJCF has words for."""
-NOT_ALWAYS = "It does not act throughout, as what MJCF has words for does."
+"""Effects on commands that MJCF can express."""
+NOT_ALWAYS = "MJCF can only express effects that always act."
 NOT_NAMED = "It is a closest match, which explains only part of the mismatch: its name is not certain."
 CURED = ("missing_physics", "parameters_only")
-"""Verdicts with something to write into the model."""
+"""Verdicts with findings to write into the model."""
 
 
 def account(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """The statement with parameters in their units, what of the model is left out, and what `file` has changed; before
-    all else, whether the model's servos were wrong by far."""
+    """The statement with parameters in their units, notes on what of the model is left out, and the changes in `file`.
+
+    If the stiffness of the model's servos was far off, the statement says so first.
+    """
     statement, start = _from_start(engine, statement), rescaling(engine)
     notes, written = [*filter(None, [start]), *engine.notes, *statement["notes"]], None
     if start or statement["verdict"] in CURED:
         try:
-            found = patched(engine, model, statement, Path())
-            written = {"file": file, "changes": [asdict(c) for c in found.changes], "unwritten": list(found.unwritten)}
+            result = patched(engine, model, statement, Path())
+            written = {
+                "file": file,
+                "changes": [asdict(c) for c in result.changes],
+                "unwritten": list(result.unwritten),
+            }
         except SimgapError as error:
-            notes.append(f"What was found could not be written into the model: {error}")
+            notes.append(f"The findings could not be written into the model: {error}")
     parameters = _sizes(engine, statement["parameters"])
     return {**statement, "notes": notes, "parameters": parameters, "patched": written}
 
 
 def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:
-    """The statement as one on the model, where the diagnosis started from another stiffness of its servos."""
+    """The statement in terms of the model, also where the diagnosis started from another stiffness of its servos."""
     start = rescaling(engine)
     if not start:
         return dict(statement)
-    # What needs no more than the new stiffness is still a model whose parameters were off.
+    # A model that needs nothing but the new stiffness still had parameters that were off.
     verdict = "parameters_only" if statement["verdict"] == "nothing" else statement["verdict"]
     statement = {**statement, "verdict": verdict, "warnings": [start, *statement["warnings"]]}
     return {**statement, "statement": f"{start} {wording.statement(statement)}"}
 
 
 def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], folder: Path) -> Patched:
-    """The model with the parameters and the named effects that were found, for a file in `folder`.
+    """The model with the fitted parameters and the named effects, for a file in `folder`.
 
-    Not written, each with the reason: what MJCF has no word for, what does not act throughout, and closest matches,
-    whose names are not certain. SimgapError where the model cannot be compiled.
+    Left out, each with the reason: effects that MJCF cannot express, effects that do not always act, and closest
+    matches, whose names are not certain. SimgapError where the model cannot be compiled.
     """
     own, late, unwritten = {term.effect for term in engine.terms}, {kind: {} for kind in LATE}, []
     for effect in statement["effects"]:
@@ -68,7 +74,7 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
             (constant,) = effect["constants"]
             late[effect["id"]] |= {name.removeprefix("cmd_"): constant["value"] for name in effect["channels"]}
         elif not always or effect["id"] not in own:
-            unwritten.append(f"{effect['statement']} {'MJCF has no word for it.' if always else NOT_ALWAYS}")
+            unwritten.append(f"{effect['statement']} {'MJCF cannot express it.' if always else NOT_ALWAYS}")
     unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["closest_matches"]]
     terms = np.asarray(terms_of(Augmented(cast(Engine, engine)), model.theta))
     named = [any(_is_of(term, e, engine.terms) for e in statement["effects"]) for term in engine.terms]
@@ -77,22 +83,22 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
 
 
 def _is_of(term: Term, effect: Mapping[str, Any], terms: Sequence[Term]) -> bool:
-    """Whether a term is an effect of a statement, or of several places that share its constant."""
+    """Whether a term belongs to an effect of a statement, which may act at several places that share a constant."""
     alone = effect["where"] in [t.where for t in terms if t.effect == effect["id"]]
     here = term.where == effect["where"] if alone else set(term.outputs) <= set(effect["outputs"])
     return term.effect == effect["id"] and here
 
 
 def _sizes(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:
-    """A statement's parameters, which are logarithms of shares, as sizes with units; and each change in words."""
-    of = {s.name: s.of for s in engine.scaled}  # what the model sets, wherever the diagnosis started
+    """A statement's parameters, which are logarithms of scales, as values with units; and each change in words."""
+    set_by_model = {s.name: s.of for s in engine.scaled}  # also where the diagnosis started from other values
 
     def size(values: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: (of[name] * np.exp(value)).tolist() for name, value in values.items()}
+        return {name: (set_by_model[name] * np.exp(value)).tolist() for name, value in values.items()}
 
     return {
         **statement,
-        "nominal": of, **{part: size(statement[part]) for part in ("fitted", "ci95", "ranges")},
+        "nominal": set_by_model, **{part: size(statement[part]) for part in ("fitted", "ci95", "ranges")},
         "units": {s.name: s.unit for s in engine.scaled},
         "in_words": engine.words(np.array([statement["fitted"][s.name] for s in engine.scaled])),
     }  # fmt: skip

@@ -1,11 +1,11 @@
-"""The numbers of a model that a diagnosis changes, in the compiled model and in its XML alike.
+"""The numbers of a model that a diagnosis changes, both in the compiled model and in its XML.
 
-An attribute that the model sets is a parameter, the logarithm of the share of the model's value. One that it leaves at
-zero is a term, which adds to it.
+An attribute that the model sets is a parameter: the logarithm of a scale on the model's value. An attribute that the
+model leaves at zero is a term, which is added to it.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 from dataclasses import dataclass
 
 import mujoco
@@ -16,14 +16,14 @@ from simgap.simulators.mujoco.payloads import PREFIX
 from simgap.types import Parameter
 
 WIDEST = float(np.log(3.0))
-"""A parameter may be a third of its nominal value to three times it."""
+"""A parameter may lie between a third of its nominal value and three times it."""
 
 
 @dataclass(frozen=True)
 class Slot:
-    """One number: `array[index]` in a compiled model; in XML, `attribute` of the element of that kind and name.
+    """One number: `array[index]` in a compiled model; in XML, `attribute` of the element of this kind and name.
 
-    component: its place in an attribute that is a list.
+    component: its index in an attribute that is a list.
     """
 
     array: str
@@ -38,19 +38,19 @@ class Slot:
         return float(getattr(model, self.array)[self.index])
 
     def write(self, spec: mujoco.MjSpec, value: float) -> None:
-        """Set it in a model that is not compiled, to nine digits."""
+        """Set it in an uncompiled model, with nine digits."""
         value = float(f"{value:.9g}")
         element = getattr(spec, self.element)(self.name)
-        held = getattr(element, self.attribute)
-        if self.component is None and np.ndim(held) == 0:
+        current = getattr(element, self.attribute)
+        if self.component is None and np.ndim(current) == 0:
             setattr(element, self.attribute, value)
-        else:  # since MuJoCo 4 dampings and stiffnesses are polynomials, whose first coefficient is meant
-            held[self.component or 0] = value
+        else:  # since MuJoCo 4, dampings and stiffnesses are polynomials; their first coefficient is set
+            current[self.component or 0] = value
 
 
 @dataclass(frozen=True)
 class Scaled:
-    """A parameter: what `slots` hold is scaled together. of: size, in `unit`, of what a scale of 1 means."""
+    """A parameter: the values in `slots` are scaled together. of: value, in `unit`, at a scale of 1."""
 
     name: str
     unit: str
@@ -58,27 +58,27 @@ class Scaled:
     slots: tuple[Slot, ...]
 
     def parameter(self, nominal: float) -> Parameter:
-        """As the search knows it: the logarithm of the scale."""
+        """The parameter of the search: the logarithm of the scale."""
         return Parameter(self.name, "-", nominal - WIDEST, nominal + WIDEST, nominal)
 
     def words(self, phi: float) -> str:
-        """The fitted value beside the model's: `kp shoulder_pan: 998 -> 12.1 N m/rad`."""
+        """The model's value and the fitted one: `kp shoulder_pan: 998 -> 12.1 N m/rad`."""
         return f"{self.name}: {self.of:.3g} -> {self.of * np.exp(phi):.3g} {self.unit}"
 
 
 def parameters(model: mujoco.MjModel, machine: Machine) -> tuple[Scaled, ...]:
-    """What the model sets of its actuators and joints; masses and geometry are taken as they are."""
-    found = [gain for a in machine.actuators if (gain := _gain(model, a)) is not None]
+    """The parameters: what the model sets of its actuators and joints. Masses and geometry are taken as they are."""
+    scaled = [gain for a in machine.actuators if (gain := _gain(model, a)) is not None]
     for kind in ("damping", "frictionloss", "armature", "stiffness"):
         for joint in machine.joints:
             slots = joint_slots(model, joint, kind)
             size = sum(abs(s.value(model)) for s in slots)
             if size:
-                found.append(Scaled(f"{kind} {joint.name}", unit(joint, kind), size, slots))
-    carried = float(model.body_gravcomp.max(initial=0.0))
-    if carried:
-        found.append(Scaled("gravcomp", "", carried, gravcomp_slots(model)))
-    return tuple(found)
+                scaled.append(Scaled(f"{kind} {joint.name}", unit(joint, kind), size, slots))
+    compensation = float(model.body_gravcomp.max(initial=0.0))
+    if compensation:
+        scaled.append(Scaled("gravcomp", "", compensation, gravcomp_slots(model)))
+    return tuple(scaled)
 
 
 def unit(joint: Joint, kind: str) -> str:
@@ -88,9 +88,9 @@ def unit(joint: Joint, kind: str) -> str:
 
 
 def joint_slots(model: mujoco.MjModel, joint: Joint, kind: str) -> tuple[Slot, ...]:
-    """What makes up an attribute of a joint: its own, and what the actuators at it add to that.
+    """The numbers that make up an attribute of a joint: its own, and what its actuators add.
 
-    The damping by a position servo (kv) is the joint's damping by another name.
+    The damping of a position servo (kv) acts as damping of the joint.
     """
     array, index = ("jnt_stiffness", joint.index) if kind == "stiffness" else (f"dof_{kind}", joint.dof)
     slots = [Slot(array, (index,), "joint", joint.name, kind)]
@@ -107,14 +107,14 @@ def joint_slots(model: mujoco.MjModel, joint: Joint, kind: str) -> tuple[Slot, .
 
 
 def gravcomp_slots(model: mujoco.MjModel) -> tuple[Slot, ...]:
-    """Gravity compensation of every body that moves, loads that are added excepted."""
+    """Gravity compensation of every body that moves, except added loads."""
     names = {b: model.body(b).name for b in range(1, model.nbody) if model.body_weldid[b]}
     names = {b: name for b, name in names.items() if not name.startswith(PREFIX)}
     return tuple(Slot("body_gravcomp", (b,), "body", name, "gravcomp") for b, name in names.items())
 
 
 def _gain(model: mujoco.MjModel, actuator: Actuator) -> Scaled | None:
-    """The stiffness of a position servo, or the gain of a velocity servo; a motor has none of its own."""
+    """The stiffness of a position servo, or the gain of a velocity servo; None for a motor."""
     a, joint = actuator.index, actuator.joint
     if model.actuator_biastype[a] != AFFINE:
         return None

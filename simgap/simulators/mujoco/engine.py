@@ -1,7 +1,7 @@
-"""A MuJoCo model as the simulator of a diagnosis: many rows at once, parameters as shares, terms that switch on."""
+"""A MuJoCo model as the engine of a diagnosis: many rows at once, parameters as scales, terms that switch on."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,14 +23,14 @@ from simgap.types import Parameter, Schema
 HELD = 1e10
 """Armature of a joint that is held still: no torque moves it."""
 CHUNK = 2048
-"""Rows that are stepped at a time; all their substeps are in memory."""
+"""Rows that are stepped in one batch; all their substeps are in memory."""
 _FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
 
 @dataclass(frozen=True)
 class _Worker:
-    """What one thread at a time steps with: a model that it changes, and MuJoCo's working memory."""
+    """What one thread at a time steps with: its own copy of the model, and MuJoCo's working memory."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -41,10 +41,10 @@ class _Worker:
 class MujocoEngine:
     """A model that a diagnosis can step, as an `Engine`.
 
-    source: the model as it was read. model: compiled, with a body without mass for each payload, never changed.
-    time_step: nominal interval between rows [s]. steps: the engine's own in a row. parts: of a row in which commands
-    may differ. scaled, switches: what the parameters and the terms change. nominal: the parameters that a search begins
-    with, zero for the model as it stands.
+    source: the model as it was read. model: compiled, with a massless body for each payload; never changed.
+    time_step: nominal interval between rows [s]. steps: MuJoCo's steps per row. parts: parts of a row in which commands
+    may differ. scaled, switches: what the parameters and the terms change. nominal: the parameters from which a search
+    starts; zero for the model as it is.
     """
 
     source: Source
@@ -64,7 +64,7 @@ class MujocoEngine:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the model sets, as logarithms of the share of the model's value."""
+        """What the model sets, as logarithms of scales on the model's values."""
         return tuple(s.parameter(float(value)) for s, value in zip(self.scaled, self.nominal, strict=True))
 
     @cached_property
@@ -74,11 +74,11 @@ class MujocoEngine:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What of the model is left out or cannot be diagnosed, in words."""
+        """Parts of the model that are left out or cannot be diagnosed, in words."""
         return (*self.source.notes, *self.machine.notes)
 
     def words(self, phi: Float[np.ndarray, " p"]) -> list[str]:
-        """Fitted parameters beside the model's, in physical units."""
+        """The model's parameters and the fitted ones, in physical units."""
         return [s.words(float(value)) for s, value in zip(self.scaled, phi, strict=True)]
 
     def rows(
@@ -89,7 +89,7 @@ class MujocoEngine:
         command: Float[np.ndarray, "n parts u"],
         effort: Float[np.ndarray, "n a"],
     ) -> Float[np.ndarray, "n s"]:
-        """The next states; see `Engine`. Rows of one value of the terms are stepped together."""
+        """The next states; see `Engine`. Rows with equal terms are stepped together."""
         state = np.asarray(state, float)
         command = np.repeat(np.asarray(command, float), self.steps // self.parts, axis=1)
         terms, effort = np.asarray(terms, float), np.asarray(effort, float)
@@ -111,28 +111,28 @@ class MujocoEngine:
         start: Float[np.ndarray, " s"],
         command: Float[np.ndarray, "T u"],
     ) -> Float[np.ndarray, "T s"]:
-        """The states in open loop, the start first; commands are held for a row, and the last does nothing."""
+        """The states in open loop, the start first. Commands are held for a row; the last one is not used."""
         held = np.repeat(np.asarray(command, float)[:-1], self.steps, axis=0)
-        none = np.zeros((1, len(self.machine.joints)))
+        no_effort = np.zeros((1, len(self.machine.joints)))
         with self._worker() as worker:
             self._apply(worker.model, worker.data, np.asarray(phi, float), np.asarray(terms, float))
-            states = self._roll(worker, np.asarray(start, float)[None], held[None], none, self.steps)[0]
+            states = self._roll(worker, np.asarray(start, float)[None], held[None], no_effort, self.steps)[0]
         return np.vstack([start, states])
 
     def compiled(self, phi: Float[np.ndarray, " p"], terms: Float[np.ndarray, " k"]) -> mujoco.MjModel:
-        """A model of the caller's own with these parameters and terms."""
+        """A new model with these parameters and terms, which the caller may change."""
         model = copy.copy(self.model)
         self._apply(model, mujoco.MjData(model), np.asarray(phi, float), np.asarray(terms, float))
         return model
 
     @cached_property
     def _idle(self) -> list[_Worker]:
-        """Those that no thread steps with. They are no thread's own: a callback's thread ends with each call of it."""
+        """Workers that no thread uses now. None belongs to a thread, as a callback's thread ends with each call."""
         return []
 
     @contextmanager
     def _worker(self) -> Iterator[_Worker]:
-        """One for this thread alone, as long as it is needed."""
+        """A worker for this thread alone, within the `with` block."""
         try:
             worker = self._idle.pop()
         except IndexError:
@@ -150,7 +150,7 @@ class MujocoEngine:
         phi: Float[np.ndarray, " p"],
         terms: Float[np.ndarray, " k"],
     ) -> None:
-        """Make a copy of the model that of these parameters and terms, whatever it was of before."""
+        """Set parameters and terms in a copy of the model, whatever was set before."""
         for name in self._arrays:
             getattr(model, name)[:] = getattr(self.model, name)
         for scaled, value in zip(self.scaled, phi, strict=True):
@@ -175,7 +175,7 @@ class MujocoEngine:
 
     @cached_property
     def _rest(self) -> Float[np.ndarray, " full"]:
-        """MuJoCo's whole state at the reference."""
+        """MuJoCo's full state at the reference."""
         data = mujoco.MjData(self.model)
         data.qpos[:] = self.machine.reference
         full = np.empty(mujoco.mj_stateSize(self.model, _FULL))
@@ -184,19 +184,19 @@ class MujocoEngine:
 
     @cached_property
     def _columns(self) -> Float[np.ndarray, " s"]:
-        """Where in MuJoCo's whole state each state of the schema is."""
+        """Index in MuJoCo's full state of each state of the schema."""
         qpos, qvel, act = (self._offset(part) for part in ("QPOS", "QVEL", "ACT"))
         joints = {j.name: j for j in self.machine.joints}
-        found = []
+        columns = []
         for field in self.schema.state:
             if field.kind == "position":
-                found.append(qpos + joints[field.body].qpos)
+                columns.append(qpos + joints[field.body].qpos)
             elif field.kind == "velocity":
-                found.append(qvel + joints[field.body].dof)
-        return np.array([*found, *(act + a.act for a in self.machine.actuators if a.act is not None)])
+                columns.append(qvel + joints[field.body].dof)
+        return np.array([*columns, *(act + a.act for a in self.machine.actuators if a.act is not None)])
 
     def _offset(self, part: str) -> int:
-        """Where in MuJoCo's whole state a part of it begins: parts come in the order of their bits."""
+        """Index in MuJoCo's full state at which a part of it begins: parts come in the order of their bits."""
         before = int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) - 1
         return mujoco.mj_stateSize(self.model, _FULL & before)
 
@@ -214,7 +214,7 @@ class MujocoEngine:
         effort: Float[np.ndarray, "n a"],
         every: int,
     ) -> Float[np.ndarray, "n t/every s"]:
-        """The states after each `every` steps; not numbers from where MuJoCo gave up."""
+        """The states after each `every` steps; NaN from where MuJoCo gave up."""
         full = np.tile(self._rest, (len(state), 1))
         full[:, self._columns] = state
         self._follow(full)
@@ -225,13 +225,13 @@ class MujocoEngine:
         states = np.empty((*command.shape[:2], full.shape[1]))
         worker.roll.rollout(worker.model, worker.data, full, inputs, control_spec=_INPUTS, state=states)
         taken = states[:, every - 1 :: every]
-        # A row that MuJoCo gives up stands still in time, or begins anew at time zero.
+        # When MuJoCo gives up on a row, its time stands still or restarts at zero.
         clock = self._rest[0] + self.model.opt.timestep * np.arange(every, command.shape[1] + 1, every)
         lost = np.abs(taken[..., 0] - clock) > self.model.opt.timestep / 2
         return np.where(lost[..., None], np.nan, taken[..., self._columns])
 
     def _follow(self, full: Float[np.ndarray, "n full"]) -> None:
-        """Put joints that follow others where an equality constraint wants them."""
+        """Put joints that follow others where the equality constraint requires."""
         qpos, qvel = self._offset("QPOS"), self._offset("QVEL")
         for follower in self.machine.followers:
             leader = self.machine.joints[follower.leader]
@@ -242,7 +242,7 @@ class MujocoEngine:
 
 
 def force_range(model: mujoco.MjModel, index: int, reciprocal: float) -> tuple[float, float]:
-    """The range of an actuator's force within its own and a limit, given as one over it."""
+    """The range of an actuator's force, within the model's range and a limit that is given as its reciprocal."""
     limit = 1 / reciprocal
     if not model.actuator_forcelimited[index]:
         return -limit, limit

@@ -1,7 +1,7 @@
-"""What of a model can be diagnosed with given columns: its joints, its actuators, and what becomes of the rest."""
+"""The part of a model that can be diagnosed with given columns: joints and actuators; and what happens to the rest."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from simgap.types import Axis, Field, Kind, Schema, SimgapError
 
-# A model's arrays hold whole numbers, and `x in (enum, ...)` is false for these.
+# A model's arrays hold integers, for which `x in (enum, ...)` is false.
 HINGE, SLIDE, FREE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("HINGE", "SLIDE", "FREE"))
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -21,7 +21,7 @@ _TIED = int(mujoco.mjtEq.mjEQ_JOINT)
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with one degree of freedom, whose position is recorded. qpos, dof: where it is in MuJoCo's vectors."""
+    """A joint with one degree of freedom, whose position is recorded. qpos, dof: its indices in MuJoCo's vectors."""
 
     name: str
     index: int
@@ -48,7 +48,8 @@ class Joint:
 
 @dataclass(frozen=True)
 class Actuator:
-    """An actuator whose command is recorded. joint: it acts on, if it acts on one. control, act: where they are."""
+    """An actuator whose command is recorded. joint: the one it acts on, if any. control, act: indices in MuJoCo's
+    vectors of its control and of its own state, if it has one."""
 
     name: str
     index: int
@@ -60,7 +61,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Follower:
-    """A joint that an equality constraint moves with another: its offset from there is a polynomial of the other's."""
+    """A joint that an equality constraint ties to another, its leader: its offset is a polynomial of the leader's."""
 
     qpos: int
     dof: int
@@ -72,8 +73,8 @@ class Follower:
 class Machine:
     """The part of a model that a diagnosis works on.
 
-    held: degrees of freedom that stand still at the `reference`, a row of positions; `controls`: of actuators whose
-    command is not recorded. notes: what cannot be diagnosed, in words.
+    held: degrees of freedom that are held still at the `reference`, a vector of positions. controls: values for
+    actuators whose command is not recorded. notes: what cannot be diagnosed, in words.
     """
 
     joints: tuple[Joint, ...]
@@ -99,7 +100,7 @@ class Machine:
 
 
 def count(model: mujoco.MjModel) -> int:
-    """The number of actuators; `nu` is that of controls, of which one may take several since MuJoCo 4."""
+    """The number of actuators. `nu` is that of controls: since MuJoCo 4, one actuator may take several."""
     return len(model.actuator_gainprm)
 
 
@@ -124,7 +125,7 @@ def _command(actuator: Actuator) -> Field:
 
 
 def machine(model: mujoco.MjModel, columns: Collection[str] | None) -> Machine:
-    """What can be diagnosed with recordings that have these columns; all that the model has, where None is given.
+    """What can be diagnosed with recordings that have these columns; None: all columns that the model could have.
 
     Raises:
         SimgapError: no joint is left.
@@ -156,9 +157,10 @@ def machine(model: mujoco.MjModel, columns: Collection[str] | None) -> Machine:
             for j, (leader, _) in follows.items()
         ),
         *(_held_note(model, j, names[j]) for j in left),
-        *(f"the control of the actuator {model.actuator(a).name} stays as at the reference: {why}" for a, why in idle),
-        *(f"the delay of the actuator {a.name}, {model.actuator_delay[a.index]:g} s, is left out: one that is found "
-          "includes it" for a in actuators if _delayed(model, a)),
+        *(f"the control of the actuator {model.actuator(a).name} stays at its reference value: {why}"
+          for a, why in idle),
+        *(f"the delay of the actuator {a.name}, {model.actuator_delay[a.index]:g} s, is left out; a delay that is "
+          "found includes it" for a in actuators if _delayed(model, a)),
     ]  # fmt: skip
     dofs = [int(d) for j in left for d in np.flatnonzero(model.dof_jntid == j)]
     reference, controls = _reference(model)
@@ -166,7 +168,7 @@ def machine(model: mujoco.MjModel, columns: Collection[str] | None) -> Machine:
 
 
 def _delayed(model: mujoco.MjModel, actuator: Actuator) -> bool:
-    """Whether the model delays an actuator; since MuJoCo 3.5 it can."""
+    """Whether the model delays an actuator, as it can since MuJoCo 3.5."""
     return bool(model.actuator_delay[actuator.index])
 
 
@@ -183,20 +185,20 @@ def _held_note(model: mujoco.MjModel, j: int, name: str) -> str:
 
 
 def _couplings(model: mujoco.MjModel) -> dict[int, tuple[int, tuple[float, ...]]]:
-    """For joints that an equality constraint ties to another: the other, and the polynomial of its offset."""
-    found: dict[int, tuple[int, tuple[float, ...]]] = {}
+    """For each joint that an equality constraint ties to another: the other one, and the polynomial of the offset."""
+    couplings: dict[int, tuple[int, tuple[float, ...]]] = {}
     for e in np.flatnonzero((model.eq_type == _TIED) & (model.eq_active0 != 0)):
         one, other = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         if other >= 0:
-            found[one] = (other, tuple(map(float, model.eq_data[e, :5])))
-    return found
+            couplings[one] = (other, tuple(map(float, model.eq_data[e, :5])))
+    return couplings
 
 
 def _actuators(
     model: mujoco.MjModel, joints: dict[int, Joint], columns: Collection[str]
 ) -> tuple[tuple[Actuator, ...], list[tuple[int, str]]]:
-    """Actuators with a command column; and those without, and why."""
-    found: list[Actuator] = []
+    """Actuators that can be diagnosed; and the others, each with the reason."""
+    usable: list[Actuator] = []
     idle: list[tuple[int, str]] = []
     for a in range(count(model)):
         name = model.actuator(a).name
@@ -211,19 +213,19 @@ def _actuators(
             idle.append((a, f"it takes {controls} controls"))
         else:
             act = int(model.actuator_actadr[a])
-            found.append(Actuator(name, a, first, act if act >= 0 else None, _kind(model, a), joint))
-    return tuple(found), idle
+            usable.append(Actuator(name, a, first, act if act >= 0 else None, _kind(model, a), joint))
+    return tuple(usable), idle
 
 
 def _controls(model: mujoco.MjModel, a: int) -> tuple[int, int]:
-    """Index of the first control of an actuator, and how many it takes; before MuJoCo 4 each takes one."""
+    """Index of the first control of an actuator, and their number; before MuJoCo 4 it is one."""
     if hasattr(model, "actuator_ctrladr"):
         return int(model.actuator_ctrladr[a]), int(model.actuator_ctrlnum[a])
     return a, 1
 
 
 def _kind(model: mujoco.MjModel, a: int) -> Kind:
-    """What an actuator is commanded in, by the law of its force: gain * command + b1 * length + b2 * velocity."""
+    """Kind of an actuator's command, from the law of its force: gain * command + b1 * length + b2 * velocity."""
     if model.actuator_biastype[a] != AFFINE:
         return "force"
     stiff, damped = model.actuator_biasprm[a, 1:3]
@@ -233,7 +235,7 @@ def _kind(model: mujoco.MjModel, a: int) -> Kind:
 
 
 def _reference(model: mujoco.MjModel) -> tuple[Float[np.ndarray, " nq"], Float[np.ndarray, " nu"]]:
-    """Positions and controls of the first keyframe; without one the model's own positions, servos at rest there."""
+    """Positions and controls of the first keyframe; without one, the model's own positions with servos at rest."""
     if model.nkey:
         return model.key_qpos[0].copy(), model.key_ctrl[0].copy()
     data = mujoco.MjData(model)

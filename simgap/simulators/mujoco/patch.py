@@ -1,7 +1,7 @@
-"""A model with what a diagnosis found written into it, and the list of what changed."""
+"""A model with the findings of a diagnosis written into it, and the list of changes."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Patched:
-    """A model's XML, what changed in it, and what of the findings MJCF has no word for, in words."""
+    """A model's XML, the changes in it, and the findings that could not be written, in words."""
 
     xml: str
     changes: tuple[Change, ...]
@@ -52,9 +52,9 @@ def patch(
     delays: Mapping[str, float] | None = None,
     lags: Mapping[str, float] | None = None,
 ) -> Patched:
-    """The model with fitted parameters and terms, to be written into a folder: paths of meshes are relative to it.
+    """The model with fitted parameters and terms, for a file in `folder`: paths of meshes are relative to it.
 
-    delays, lags: of the commands of actuators, by name [s].
+    delays, lags: of the commands of actuators, by actuator name [s].
     """
     spec = engine.source.spec.copy()
     _spell_out(engine, spec)
@@ -65,18 +65,18 @@ def patch(
         *_delayed(spec, delays or {}),
         *_lagging(spec, lags or {}, unwritten),
     ]
-    compiled(spec)  # before MuJoCo 4 there is no XML of what is not compiled
+    compiled(spec)  # before MuJoCo 4, only a compiled model can be written as XML
     return Patched(_xml(spec, folder), tuple(changes), tuple(unwritten))
 
 
 def _spell_out(engine: MujocoEngine, spec: mujoco.MjSpec) -> None:
-    """Springs and dampers that MuJoCo computes from a time constant, as numbers that can be changed."""
+    """Replace springs and dampers that MuJoCo computes from a time constant by numbers that can be changed."""
     for joint in spec.joints:
         if np.any(np.asarray(joint.springdamper) > 0):
-            made = engine.model.joint(joint.name)
+            built = engine.model.joint(joint.name)
             joint.springdamper = [0.0, 0.0]
-            for slot in (Slot("jnt_stiffness", (made.id,), "joint", joint.name, "stiffness"),
-                         Slot("dof_damping", (int(made.dofadr[0]),), "joint", joint.name, "damping")):  # fmt: skip
+            for slot in (Slot("jnt_stiffness", (built.id,), "joint", joint.name, "stiffness"),
+                         Slot("dof_damping", (int(built.dofadr[0]),), "joint", joint.name, "damping")):  # fmt: skip
                 slot.write(spec, slot.value(engine.model))
 
 
@@ -85,7 +85,7 @@ def _scaled(engine: MujocoEngine, spec: mujoco.MjSpec, phi: Float[np.ndarray, " 
     for scaled, value in zip(engine.scaled, phi, strict=True):
         for slot in scaled.slots if value else ():
             changes.append(_set(engine, spec, slot, slot.value(engine.model) * float(np.exp(value))))
-    # The gain and the stiffness of a servo are one number in MJCF, kp.
+    # A servo's gain and stiffness are a single number in MJCF: kp.
     return list(dict.fromkeys(changes))
 
 
@@ -160,7 +160,7 @@ def _lagging(spec: mujoco.MjSpec, lags: Mapping[str, float], unwritten: list[str
 
 
 def _xml(spec: mujoco.MjSpec, folder: Path) -> str:
-    """Numbers and classes as they were written, where MuJoCo can (3.16 and later); files relative to the folder."""
+    """Numbers and classes as originally written, where MuJoCo can (3.16 and later); paths relative to the folder."""
     for option in ("savecompiled", "savecanonical"):
         if hasattr(spec.compiler, option):
             setattr(spec.compiler, option, False)

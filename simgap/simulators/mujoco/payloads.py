@@ -1,7 +1,7 @@
-"""Where a load would be carried: at the end of each chain of links. A body without mass is added there to take it."""
+"""Places for payloads: the end of each chain of links. A massless body is added there, to which a term gives mass."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 import re
 
 import mujoco
@@ -10,20 +10,20 @@ import numpy as np
 from simgap.simulators.mujoco.machine import Machine
 
 PREFIX = "added_load_"
-"""Begins the name of a body that is added; the rest is the name of the body that carries it."""
+"""Prefix of the name of an added body; the rest is the name of the body that carries it."""
 _TOOLS = ("grip", "tool", "tcp", "eef", "pinch", "grasp", "flange", "attach", "hand", "tip", "endeff")
-"""How the names of sites at which a robot holds something begin."""
+"""Beginnings of words in the names of sites at which a robot holds something."""
 
 
 def places(model: mujoco.MjModel, machine: Machine) -> dict[str, tuple[float, float, float]]:
-    """Bodies that would carry a load, and where in their frames [m] its centre would be.
+    """Bodies that would carry a payload, and the position of its centre in their frames [m].
 
-    A site that is named like a tool is taken where the chain has one. Else it is the last link, or the hand where the
-    last ones are fingers, at twice the distance of its centre of mass: the far end of a uniform rod.
+    A site that is named like a tool is taken where the chain has one. Otherwise it is the last link (the hand, where
+    the last links are fingers), at twice its centre of mass: the far end of a uniform rod.
     """
     moving = _moving(model, machine)
     parents = {b: int(model.body_weldid[model.body_parentid[b]]) for b in moving}
-    found: dict[str, tuple[float, float, float]] = {}
+    centres: dict[str, tuple[float, float, float]] = {}
     for leaf in (b for b in moving if b not in parents.values()):
         site = _tool(model, leaf, parents)
         if site is not None:
@@ -32,34 +32,34 @@ def places(model: mujoco.MjModel, machine: Machine) -> dict[str, tuple[float, fl
             body = _hand(leaf, parents)
             centre = 2 * model.body_ipos[body]
         x, y, z = map(float, centre)
-        found.setdefault(model.body(body).name, (x, y, z))
-    return found
+        centres.setdefault(model.body(body).name, (x, y, z))
+    return centres
 
 
 def add(spec: mujoco.MjSpec, name: str, carrier: str, centre: tuple[float, float, float], mass: float) -> None:
     """Add a point mass [kg] to a body, as a body of its own."""
     body = spec.body(carrier).add_body(name=name, pos=centre, mass=mass, explicitinertial=True)
-    body.ipos, body.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]  # MuJoCo would put it at `pos` once more
+    body.ipos, body.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]  # otherwise MuJoCo adds `pos` a second time
 
 
 def upstream(model: mujoco.MjModel, body: int) -> set[int]:
     """The degrees of freedom that move a body."""
-    found: set[int] = set()
+    dofs: set[int] = set()
     while body:
         first = int(model.body_dofadr[body])
-        found |= set(range(first, first + int(model.body_dofnum[body]))) if first >= 0 else set()
+        dofs |= set(range(first, first + int(model.body_dofnum[body]))) if first >= 0 else set()
         body = int(model.body_parentid[body])
-    return found
+    return dofs
 
 
 def _moving(model: mujoco.MjModel, machine: Machine) -> list[int]:
-    """The first bodies of groups of welded bodies that diagnosed joints or their followers move."""
+    """The first body of each group of welded bodies that diagnosed joints or their followers move."""
     dofs = {j.dof for j in machine.joints} | {f.dof for f in machine.followers}
     return [b for b in range(1, model.nbody) if model.body_weldid[b] == b and upstream(model, b) & dofs]
 
 
 def _tool(model: mujoco.MjModel, leaf: int, parents: dict[int, int]) -> int | None:
-    """The site at which the chain that ends in this body holds things."""
+    """The site at which the chain that ends in this body holds something; None if there is none."""
     body = leaf
     while body in parents:
         for site in np.flatnonzero(model.body_weldid[model.site_bodyid] == body):
@@ -71,7 +71,7 @@ def _tool(model: mujoco.MjModel, leaf: int, parents: dict[int, int]) -> int | No
 
 
 def _hand(leaf: int, parents: dict[int, int]) -> int:
-    """The body that carries this one, where it carries several and these carry nothing: fingers."""
+    """The body itself; its parent where that carries several bodies that carry nothing, which are fingers."""
     parent = parents[leaf]
     siblings = [b for b, p in parents.items() if p == parent]
     fingers = len(siblings) > 1 and not any(b in parents.values() for b in siblings)

@@ -1,7 +1,7 @@
-"""Reads an MJCF or URDF as people have it: names what has no name, does without files that only a picture needs."""
+"""Reads an MJCF or URDF as it is: names unnamed elements, and drops missing files that only pictures need."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -12,14 +12,14 @@ import mujoco
 from simgap.types import SimgapError
 
 INERTIA_FROM_GEOM = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
-"""The compiler's option by which geoms count although a body has an inertial element."""
+"""Compiler option: masses come from geoms even where a body has an inertial element."""
 PerJoint = float | Mapping[str, float] | None
 """A value for all joints, or for some by name."""
 
 
 @dataclass(frozen=True)
 class Servos:
-    """Position servos for joints without an actuator, as a URDF has them: of all joints, or of some by name.
+    """Position servos for joints without an actuator, as in a URDF: for all such joints, or for some by name.
 
     kp: stiffness [N m/rad, N/m]. kv: damping by the servo [N m s/rad, N s/m]. force_limit: [N m, N].
     """
@@ -39,20 +39,20 @@ NO_SERVOS = Servos()
 
 @dataclass(frozen=True)
 class Source:
-    """A model before it is compiled; every body, joint and actuator has a name. notes: what was left out, in words."""
+    """An uncompiled model in which every body, joint and actuator has a name. notes: what was left out, in words."""
 
     spec: mujoco.MjSpec
     notes: tuple[str, ...]
 
 
 def read(model: str | Path | mujoco.MjSpec, servos: Servos) -> Source:
-    """Read a model from a file, or copy one that is read.
+    """Read a model from a file, or copy one that was read.
 
     Raises:
-        SimgapError: it cannot be read or compiled, or a servo is for a joint that it lacks or that has an actuator.
+        SimgapError: it cannot be read or compiled, or a servo is for a joint that is missing or has an actuator.
     """
     spec = model.copy() if isinstance(model, mujoco.MjSpec) else _from_file(Path(model))
-    spec.compiler.fusestatic = False  # a URDF is read with its fixed links fused, which takes their names away
+    spec.compiler.fusestatic = False  # fusing the fixed links of a URDF would remove their names
     _name(spec)
     notes = _drop_missing_files(spec)
     _add_servos(spec, servos)
@@ -82,7 +82,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _name(spec: mujoco.MjSpec) -> None:
-    """Names for what has none, so that columns and changes can refer to it: an actuator is named after its joint."""
+    """Name unnamed elements, so that columns and changes can refer to them; an actuator is named after its joint."""
     for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints), ("actuator", spec.actuators)):
         taken = {e.name for e in elements}
         for index, element in enumerate(elements):
@@ -102,13 +102,13 @@ def _drop_missing_files(spec: mujoco.MjSpec) -> list[str]:
             spec.compile()
             return notes
         except ValueError as error:
-            found = re.search(r"(?:opening|resource|file) '([^']+)'", _one_line(error))
-            if found is None:
+            missing = re.search(r"(?:opening|resource|file) '([^']+)'", _one_line(error))
+            if missing is None:
                 raise SimgapError(f"MuJoCo cannot compile the model: {_one_line(error)}") from error
-            name = Path(found.group(1)).name
+            name = Path(missing.group(1)).name
             if not (_drop_mesh(spec, name) or _drop_texture(spec, name)):
-                raise SimgapError(f"The model needs the file {found.group(1)}, which is missing.") from error
-            notes.append(f"the file {found.group(1)} is missing; the model is used without it")
+                raise SimgapError(f"The model needs the file {missing.group(1)}, which is missing.") from error
+            notes.append(f"the file {missing.group(1)} is missing; the model is used without it")
 
 
 def _drop_mesh(spec: mujoco.MjSpec, file: str) -> bool:

@@ -1,4 +1,4 @@
-"""Open-loop replays of recordings, and a scan of all stiffnesses that shows a model that is off by far."""
+"""Open-loop replays of recordings, and a scan of servo stiffness that detects a model that is far off."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,23 +11,23 @@ from simgap.simulators.mujoco.steps import accurate, quick
 from simgap.types import Recording
 
 COARSE = tuple(2.0**k for k in range(-9, 5))
-"""Shares of the model's stiffness that are tried, from 1/512 to 16."""
+"""Factors on the model's stiffness that are tried first, from 1/512 to 16."""
 FINE = tuple(2.0 ** (k / 6) for k in (-4, -3, -2, -1, 1, 2, 3, 4))
-"""And around the best of these."""
+"""Factors on the best of these, tried next."""
 MOST_ROWS = 6000
-"""Rows that a scan replays at each share: more do not move the best one."""
+"""Rows that a scan replays with each factor: more rows do not change the best one."""
 FAR = 3.0
-"""A stiffness that is wrong by more than this is no parameter to be refined, but a wrong model."""
+"""A stiffness that is wrong by more than this factor means a wrong model, not a parameter to refine."""
 GAIN = 0.9
-"""It must lower the error to this share at least."""
+"""The best factor must lower the error at least to this share."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Replay errors for some shares of all stiffnesses.
+    """Replay errors with all servo stiffnesses multiplied by some factors.
 
-    shares: in rising order. errors: RMS of each joint's position [rad, m]. best: the share with the least error, each
-    joint's measured by its motion. far: whether the model is wrong by far. says: what that means, in words.
+    shares: the factors, ascending. errors: RMS of each joint's position [rad, m]. best: the factor with the smallest
+    error, each joint's relative to its motion. far: whether the model is far off. says: what that means, in words.
     """
 
     shares: Float[np.ndarray, " n"]
@@ -43,9 +43,9 @@ def replay(
     phi: Float[np.ndarray, " p"] | None = None,
     terms: Float[np.ndarray, " k"] | None = None,
 ) -> Float[np.ndarray, " j"]:
-    """RMS of each joint's position error [rad, m] when whole sessions are replayed from their first state alone.
+    """RMS of each joint's position error [rad, m] when whole sessions are replayed from their first state.
 
-    Velocities that are not recorded begin at rest. The error is infinite where the engine leaves the finite numbers.
+    Velocities that are not recorded start at zero. The error is infinite where the engine diverges.
     """
     phi = engine.nominal if phi is None else phi
     terms = np.zeros(len(engine.terms)) if terms is None else terms
@@ -60,31 +60,31 @@ def replay(
 
 
 def start(engine: MujocoEngine, recording: Recording) -> Float[np.ndarray, " s"]:
-    """The first state, at rest where no velocity is recorded; servos with a state of their own have settled."""
+    """The first state: at rest where no velocity is recorded, with servos that have their own state settled."""
     first = np.zeros(len(engine.schema.state))
     first[: recording.state.shape[1]] = recording.state[0]
     slow = [(i, a) for i, a in enumerate(engine.machine.actuators) if a.act is not None]
-    for at, (i, actuator) in enumerate(slow, len(first) - len(slow)):
-        if actuator.kind == "velocity" and actuator.joint is not None:  # its state is a position that it holds
-            first[at] = first[engine.machine.joints.index(actuator.joint)]
+    for k, (i, actuator) in enumerate(slow, len(first) - len(slow)):
+        if actuator.kind == "velocity" and actuator.joint is not None:  # its state is the position that it holds
+            first[k] = first[engine.machine.joints.index(actuator.joint)]
         else:
-            first[at] = recording.command[0, i]
+            first[k] = recording.command[0, i]
     return first
 
 
 def scan(engine: MujocoEngine, recordings: Sequence[Recording]) -> Scan | None:
-    """Try shares of the stiffness of all position servos together; None where the model has none."""
+    """Try factors on the stiffness of all position servos together; None where the model has no such servo."""
     servos = _servos(engine)
     if not servos.any():
         return None
-    some, coarse = _some(recordings), quick(engine)
+    sessions, coarse = _subset(recordings), quick(engine)
     joints = len(engine.machine.joints)
-    motion = np.maximum(np.concatenate([r.state[:, :joints] for r in some]).std(0), 1e-6)
+    motion = np.maximum(np.concatenate([r.state[:, :joints] for r in sessions]).std(0), 1e-6)
     errors: dict[float, Float[np.ndarray, " j"]] = {}
 
     def cost(share: float) -> float:
         if share not in errors:
-            errors[share] = replay(coarse, some, engine.nominal + np.log(share) * servos)
+            errors[share] = replay(coarse, sessions, engine.nominal + np.log(share) * servos)
         return float(((errors[share] / motion) ** 2).mean())
 
     best = min(COARSE, key=cost)
@@ -95,18 +95,18 @@ def scan(engine: MujocoEngine, recordings: Sequence[Recording]) -> Scan | None:
 
 
 def rescaled(engine: MujocoEngine, share: float) -> MujocoEngine:
-    """The engine with this share of all stiffnesses as its nominal parameters, which their ranges surround."""
+    """The engine with all servo stiffnesses multiplied by `share` in its nominal parameters; ranges move with them."""
     return accurate(replace(engine, nominal=engine.nominal + np.log(share) * _servos(engine)))
 
 
 def rescaling(engine: MujocoEngine) -> str:
-    """What `rescaled` did to an engine, in words; empty where it starts from the model as it stands."""
+    """What `rescaled` did to an engine, in words; empty where it starts from the model as it is."""
     shares = np.exp(engine.nominal[_servos(engine)])
     if not shares.size or np.all(shares == 1):
         return ""
     share = float(shares.max())
     how = f"divided by {_rounded(1 / share)}" if share < 1 else f"times {_rounded(share)}"
-    return f"{_words(share)} The diagnosis starts from there: the simulator as it is has kp {how}."
+    return f"{_words(share)} The diagnosis takes the model with kp {how} as the nominal simulator."
 
 
 def _servos(engine: MujocoEngine) -> Bool[np.ndarray, " p"]:
@@ -114,8 +114,8 @@ def _servos(engine: MujocoEngine) -> Bool[np.ndarray, " p"]:
     return np.array([s.name.startswith("kp ") for s in engine.scaled], bool)
 
 
-def _some(recordings: Sequence[Recording]) -> list[Recording]:
-    """Whole sessions, spread over all, until there are enough rows."""
+def _subset(recordings: Sequence[Recording]) -> list[Recording]:
+    """Whole sessions at regular intervals, with about `MOST_ROWS` rows."""
     total = sum(len(r.time_s) for r in recordings)
     every = max(1, round(total / MOST_ROWS))
     return list(recordings[::every])

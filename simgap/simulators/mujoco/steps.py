@@ -1,7 +1,7 @@
-"""How long an engine's own steps are, and by which rule it integrates: accurate for a diagnosis, quick for a scan."""
+"""Length of an engine's own steps and its integrator: accurate for a diagnosis, quick for a scan."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 import copy
 from dataclasses import replace
 
@@ -12,52 +12,52 @@ from jaxtyping import Float
 from simgap.simulators.mujoco.engine import MujocoEngine
 
 MOST_PARTS = 5
-"""Most parts of a row in which commands may differ."""
+"""Maximum number of parts of a row in which commands may differ."""
 FINER = 1.25
-"""By how much more steps a row may be cut into, so that these make equal parts."""
+"""A row may have up to this factor more steps, so that they make equal parts."""
 LONGER = 1.01
-"""By how much a step may be longer than is asked for: logs at 50 Hz have rows of 20.06 ms."""
+"""A step may be longer than requested by this factor: logs at 50 Hz have rows of 20.06 ms."""
 COARSER = 2.0
-"""By how much a step of fourth order may be longer than the model's own of first order;"""
+"""A fourth-order step may be longer by this factor than the model's own first-order step."""
 REFINEMENTS = (1, 2, 4)
-"""by how much shorter it is made where it must be, until"""
+"""Factors by which the fourth-order step is shortened, until it is accurate."""
 ALIKE = 1e-3
-"""half a step gives the same next state [rad, rad/s, m, m/s]; and"""
+"""A step is accurate if half the step changes no next state by more than this [rad, rad/s, m, m/s]."""
 STIFF = 8
-"""by how much an implicit one is, of first order, where none of these is short enough."""
+"""Factor by which the implicit first-order step is shortened, where no fourth-order one is accurate."""
 PROBES, MOTION = 64, 0.3
-"""Rows in which that is tried, and standard deviation of their states and commands [rad, rad/s, ...]."""
+"""Rows for the accuracy test, and standard deviation of their states and commands [rad, rad/s, ...]."""
 _FOURTH, _IMPLICIT = (int(getattr(mujoco.mjtIntegrator, f"mjINT_{name}")) for name in ("RK4", "IMPLICITFAST"))
 
 
 def accurate(engine: MujocoEngine) -> MujocoEngine:
-    """With a step at whose end a row hardly depends on how long the step is: a robot's time goes on without steps.
+    """The engine with steps so short that their length hardly matters: a robot's time is continuous.
 
-    MuJoCo's own integrators are of first order: at 2 ms they lead by 1 ms, which recordings show as a sensor's delay.
+    MuJoCo's default integrators are of first order. At 2 ms they lead by 1 ms, which would look like a sensor delay.
     """
     steps, parts = cut(engine.time_step, COARSER * engine.source.spec.option.timestep)
     for refinement in REFINEMENTS:
-        found = stepped(engine, steps * refinement, parts, _FOURTH)
-        after, better = _probed(found), _probed(stepped(engine, 2 * steps * refinement, parts, _FOURTH))
-        if np.isfinite(after).all() and np.nanmax(np.abs(after - better), initial=0.0) < ALIKE:
-            return found
+        candidate = stepped(engine, steps * refinement, parts, _FOURTH)
+        ends, finer = _probed(candidate), _probed(stepped(engine, 2 * steps * refinement, parts, _FOURTH))
+        if np.isfinite(ends).all() and np.nanmax(np.abs(ends - finer), initial=0.0) < ALIKE:
+            return candidate
     return stepped(engine, STIFF * steps, parts, _IMPLICIT)
 
 
 def quick(engine: MujocoEngine) -> MujocoEngine:
-    """With steps as long as the model's own, and stable however stiff its servos are."""
+    """The engine with steps as long as the model's own, and stable however stiff its servos are."""
     return stepped(engine, *cut(engine.time_step, engine.source.spec.option.timestep), _IMPLICIT)
 
 
 def stepped(engine: MujocoEngine, steps: int, parts: int, integrator: int) -> MujocoEngine:
-    """With so many steps in a row, and one of MuJoCo's integrators."""
+    """The engine with this number of steps per row, and one of MuJoCo's integrators."""
     model = copy.copy(engine.model)
     model.opt.timestep, model.opt.integrator = engine.time_step / steps, integrator
     return replace(engine, model=model, steps=steps, parts=parts)
 
 
 def cut(time_step: float, own: float) -> tuple[int, int]:
-    """Steps in a row, none longer than `own` [s] but for a trifle, and the equal parts that they make."""
+    """Steps per row, longer than `own` [s] at most by `LONGER`, and the number of equal parts that they make."""
     least = max(int(np.ceil(time_step / (LONGER * own))), 1)
     ways = [(max(p for p in range(1, MOST_PARTS + 1) if n % p == 0), n) for n in range(least, int(least * FINER) + 1)]
     parts, steps = max(ways, key=lambda way: (way[0], -way[1]))
@@ -65,11 +65,11 @@ def cut(time_step: float, own: float) -> tuple[int, int]:
 
 
 def _probed(engine: MujocoEngine) -> Float[np.ndarray, "n s"]:
-    """The ends of some rows near the reference; the same rows whatever the steps are."""
+    """Next states of random rows near the reference; the rows are the same for all step lengths."""
     rng = np.random.default_rng(0)
     joints = engine.machine.joints
     state = rng.normal(0.0, MOTION, (PROBES, len(engine.schema.state)))
     state[:, : len(joints)] += [engine.machine.reference[j.qpos] for j in joints]
     command = np.repeat(rng.normal(0.0, MOTION, (PROBES, 1, len(engine.schema.command))), engine.parts, axis=1)
-    none = np.zeros((PROBES, len(engine.terms))), np.zeros((PROBES, len(joints)))
-    return engine.rows(engine.nominal, none[0], state, command, none[1])
+    zeros = np.zeros((PROBES, len(engine.terms))), np.zeros((PROBES, len(joints)))
+    return engine.rows(engine.nominal, zeros[0], state, command, zeros[1])

@@ -1,7 +1,7 @@
-"""Physics that a model leaves at zero and MuJoCo can compute: which terms there are, how large they begin."""
+"""Terms: physics that a model leaves at zero and MuJoCo can compute, and the sizes at which a search starts."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's names are native, and unknown to type checkers.
+# MuJoCo's names are native code, unknown to type checkers.
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,18 +15,18 @@ from simgap.simulators.mujoco.attributes import Slot, gravcomp_slots, joint_slot
 from simgap.simulators.mujoco.machine import Joint, Machine
 
 SPEED = {True: 1.0, False: 0.2}
-"""Typical speed of a hinge [rad/s] and of a slide [m/s]: with them a size of a torque is one of a damping."""
+"""Typical speed of a hinge [rad/s] and of a slide [m/s]: it turns a typical torque into a typical damping."""
 ACCELERATION = {True: 5.0, False: 1.0}
 """Typical acceleration of a hinge [rad/s^2] and of a slide [m/s^2]."""
 POSES = 32
-"""Poses within the joints' ranges at which gravity is asked for."""
+"""Poses within the joints' ranges at which gravity is computed."""
 STARTS = (0.05, 0.2)
-"""Shares of what is typical at which a search begins."""
+"""Sizes at which a search starts, as shares of the typical size."""
 
 
 @dataclass(frozen=True)
 class Added:
-    """A term whose constant is added to what slots hold."""
+    """A term whose constant is added to the values in `slots`."""
 
     term: Term
     slots: tuple[Slot, ...]
@@ -34,7 +34,7 @@ class Added:
 
 @dataclass(frozen=True)
 class Limited:
-    """A term whose constant is one over the most force of an actuator."""
+    """A term whose constant is one over the maximum force of an actuator."""
 
     term: Term
     index: int
@@ -46,7 +46,7 @@ Switch = Added | Limited
 
 @dataclass(frozen=True)
 class _Kind:
-    """A joint's attribute as an effect; `typical` is its size at a joint."""
+    """A joint's attribute as an effect; `typical` gives its typical size at a joint."""
 
     effect: str
     attribute: str
@@ -57,7 +57,7 @@ class _Kind:
 
 @dataclass(frozen=True)
 class _Scale:
-    """What is typical of a joint: torque [N m, N], inertia [kg m^2, kg], speed [rad/s, m/s]."""
+    """Typical values of a joint: torque [N m, N], inertia [kg m^2, kg], speed [rad/s, m/s]."""
 
     torque: float
     inertia: float
@@ -72,32 +72,32 @@ KINDS = (
           "viscous drag: a resistance of {coefficient} times the speed works against the motion",
           lambda s: s.torque / s.speed),
     _Kind("added_inertia", "armature", "inertia",
-          "added inertia: {inertia} more than the model has is moved, such as a rotor behind gears",
+          "added inertia: the joint moves {inertia} more than the model has, such as a geared rotor",
           lambda s: 2 * s.inertia),
     _Kind("joint_spring", "stiffness", "stiffness",
-          "a spring of {stiffness} pulls to the reference position",
+          "a spring of {stiffness} pulls towards the reference position",
           lambda s: s.torque / s.speed),
 )  # fmt: skip
 BOUND = 5.0
-"""Largest size of a joint's term, as a multiple of what is typical."""
+"""Largest size of a joint's term, as a multiple of the typical size."""
 
 
 def switches(model: mujoco.MjModel, machine: Machine) -> tuple[Switch, ...]:
-    """All terms that the model leaves at zero, for a compiled model with the bodies of payloads."""
+    """All terms that the model leaves at zero, for a compiled model that includes the bodies of payloads."""
     gravity = _gravity(model, machine)
     scales = {j.name: _scale(model, j, float(g)) for j, g in zip(machine.joints, gravity, strict=True)}
-    found: list[Switch] = []
+    terms: list[Switch] = []
     for kind in KINDS:
         for joint in machine.joints:
             slots = joint_slots(model, joint, kind.attribute)
             if not any(s.value(model) for s in slots):
-                found.append(Added(_joint_term(machine, joint, kind, kind.typical(scales[joint.name])), slots[:1]))
+                terms.append(Added(_joint_term(machine, joint, kind, kind.typical(scales[joint.name])), slots[:1]))
     pulled = [j for j, g in zip(machine.joints, gravity, strict=True) if g > 1e-3 * scales[j.name].torque]
     if pulled and not model.body_gravcomp.any():
-        found.append(Added(_gravity_term(machine, pulled), gravcomp_slots(model)))
-    found += _payloads(model, machine)
-    found += [limit for a in machine.actuators if (limit := _limit(model, machine, a.index, scales)) is not None]
-    return tuple(found)
+        terms.append(Added(_gravity_term(machine, pulled), gravcomp_slots(model)))
+    terms += _payloads(model, machine)
+    terms += [limit for a in machine.actuators if (limit := _limit(model, machine, a.index, scales)) is not None]
+    return tuple(terms)
 
 
 def _joint_term(machine: Machine, joint: Joint, kind: _Kind, typical: float) -> Term:
@@ -109,7 +109,7 @@ def _joint_term(machine: Machine, joint: Joint, kind: _Kind, typical: float) -> 
 
 
 def _gravity_term(machine: Machine, pulled: list[Joint]) -> Term:
-    """MuJoCo ignores a negative compensation, so the share is not negative."""
+    """Gravity compensation as one term. MuJoCo ignores negative compensation, so the share is not negative."""
     says = "gravity compensation: the robot carries a share of {share} of its own weight, which the model lacks"
     return Term(
         "joint_gravity", "all", *_columns(machine, pulled), "share", "-", 0.0, 1.0, (0.1, 0.5), says, shared=False
@@ -117,7 +117,7 @@ def _gravity_term(machine: Machine, pulled: list[Joint]) -> Term:
 
 
 def _payloads(model: mujoco.MjModel, machine: Machine) -> list[Switch]:
-    found: list[Switch] = []
+    terms: list[Switch] = []
     for b in range(1, model.nbody):
         name = model.body(b).name
         if not name.startswith(payloads.PREFIX):
@@ -127,41 +127,42 @@ def _payloads(model: mujoco.MjModel, machine: Machine) -> list[Switch]:
         moved = [j for j in machine.joints if j.dof in dofs]
         arm = [i for i in range(1, model.nbody) if payloads.upstream(model, i) & {j.dof for j in moved}]
         mass = float(model.body_mass[arm].sum())
-        says = "payload: {mass} is carried that the model lacks"
+        says = "payload: the robot carries {mass} that the model lacks"
         term = Term("payload", carrier, *_columns(machine, moved), "mass", "kg", 0.0, 2 * mass,
                     tuple(share * mass for share in STARTS), says, shared=False)  # fmt: skip
-        found.append(Added(term, (Slot("body_mass", (b,), "body", name, "mass"),)))
-    return found
+        terms.append(Added(term, (Slot("body_mass", (b,), "body", name, "mass"),)))
+    return terms
 
 
 def _limit(model: mujoco.MjModel, machine: Machine, index: int, scales: dict[str, _Scale]) -> Limited | None:
-    """A limit below the one that the model sets; beyond it there is nothing to find."""
+    """A force limit below the one that the model sets, as a greater one has no effect; None for an actuator without
+    a joint."""
     actuator = next(a for a in machine.actuators if a.index == index)
     joint = actuator.joint
     if joint is None:
         return None
     own = float(np.abs(model.actuator_forcerange[index]).max()) if model.actuator_forcelimited[index] else np.inf
     typical = min(scales[joint.name].torque, 0.9 * own)
-    says = "force limit: no more than {limit} is given"
+    says = "force limit: the actuator gives at most {limit}"
     term = Term("force_limit", actuator.name, *_columns(machine, [joint]), "limit", joint.effort, 1 / own, 20 / typical,
                 (1 / typical, 1 / (0.6 * typical)), says, reciprocal=True)  # fmt: skip
     return Limited(term, index, actuator.name)
 
 
 def _columns(machine: Machine, joints: list[Joint]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """States and commands of some joints."""
+    """Names of the states and commands of these joints."""
     outputs = [f"{j.name}_{what}" for j in joints for what in ("pos", "vel")]
     return tuple(outputs), tuple(f"cmd_{a.name}" for a in machine.actuators if a.joint in joints)
 
 
 def _scale(model: mujoco.MjModel, joint: Joint, gravity: float) -> _Scale:
-    """With the inertia in the model's own pose, the armature included."""
+    """Typical values of a joint. The inertia is that in the model's own pose, including the armature."""
     inertia = float(model.dof_M0[joint.dof])
     return _Scale(gravity + inertia * ACCELERATION[joint.hinge], inertia, SPEED[joint.hinge])
 
 
 def _gravity(model: mujoco.MjModel, machine: Machine) -> Float[np.ndarray, " j"]:
-    """Largest torque of gravity at each joint over poses that cover the joints' ranges evenly."""
+    """Largest gravity torque at each joint, over poses that cover the joints' ranges evenly."""
     data, most = mujoco.MjData(model), np.zeros(len(machine.joints))
     steps = np.modf(np.sqrt(np.arange(2, len(machine.joints) + 2)) * np.pi)[0]
     for pose in range(POSES):

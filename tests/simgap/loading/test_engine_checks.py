@@ -51,7 +51,7 @@ def test_an_engine_passes() -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"wrong": "neighbours"}, "a row must not depend on the rows beside it"),
+        ({"wrong": "neighbours"}, "a row must not depend on the other rows"),
         ({"wrong": "infinite"}, "rows must be finite at nominal parameters"),
         ({"wrong": "shape"}, r"shape \(2, 2\) in double precision; it returned shape \(1, 2\)"),
         ({"wrong": "single"}, "of float32"),

@@ -47,7 +47,7 @@ def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine
     words = "The model's position servos are about 110 times too stiff (kp)."
     assert told["verdict"] == "parameters_only"
     assert [told[key][0].startswith(words) for key in ("warnings", "notes")] == [True, True]
-    assert told["statement"].startswith(f"{words} The diagnosis starts from there: the simulator as it is has kp divi")
+    assert told["statement"].startswith(f"{words} The diagnosis takes the model with kp divided by 110 as the nominal")
     assert "parameters were off and are refitted" in told["statement"]
     assert told["parameters"]["nominal"]["kp pan"] == 60
     assert told["parameters"]["fitted"]["kp pan"] == pytest.approx(60 / 110)
@@ -113,6 +113,6 @@ def test_what_mjcf_has_no_word_for_is_listed_with_the_reason(engine: MujocoEngin
     told = account(engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml")
     assert told["patched"]["changes"] == []
     assert told["patched"]["unwritten"] == [
-        "backlash on cmd_pan. MJCF has no word for it.",
-        "delay on cmd_pan. It does not act throughout, as what MJCF has words for does.",
+        "backlash on cmd_pan. MJCF cannot express it.",
+        "delay on cmd_pan. MJCF can only express effects that always act.",
     ]

@@ -65,8 +65,8 @@ def test_a_joint_without_a_column_is_held_at_the_keyframe(tmp_path: Path) -> Non
     assert engine.schema.columns == ("time_s", "pan_pos", "reach_pos", "pan_vel", "reach_vel", "cmd_pan")
     assert engine.notes == (
         "the joint lift has no column lift_pos; it is held still and not diagnosed",
-        "the control of the actuator lift stays as at the reference: the position of its joint is not recorded",
-        "the control of the actuator push stays as at the reference: there is no column cmd_push",
+        "the control of the actuator lift stays at its reference value: the position of its joint is not recorded",
+        "the control of the actuator push stays at its reference value: there is no column cmd_push",
     )
     welded = arm().replace('<body name="fore" pos=".2 0 0">', '<body name="fore" pos=".2 0 0" euler="0 .7 0">')
     welded = welded.replace('<joint name="lift" axis="0 1 0" range="-2 2" damping=".2" armature=".01" />', "")
