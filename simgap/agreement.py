@@ -1,4 +1,4 @@
-"""Do columns that describe one motion agree: velocities with poses in their frame, commands with what they command?"""
+"""Agreement of columns that describe one motion: velocities with poses in their frame, commands with what they move."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -15,15 +15,16 @@ from simgap.survey import leading
 from simgap.types import Recording, Schema
 
 ROWS = 50_000
-"""Rows of the first sessions, in which commands are compared."""
+"""Commands are compared in the first sessions that together have this many rows."""
 DELAY_S = 1.0
-"""Longest delay of a command that is looked for [s]."""
+"""Longest delay of a command that is searched for [s]."""
 
 
 class Frame(NamedTuple):
-    """How well a body's velocities match the change of its position: as the schema has them, and in the other frame.
+    """How well a body's velocities match the change of its position, in the schema's frame and in the other frame.
 
-    Cosines of the angle between the two series, 1 where they are the same but for their scale.
+    as_is, turned: cosines of the angle between the two series; 1 if they are proportional. world: whether the schema
+    has the velocities in the world frame.
     """
 
     velocities: tuple[str, ...]
@@ -35,8 +36,10 @@ class Frame(NamedTuple):
 
 
 class Following(NamedTuple):
-    """A command and what it commands: change of the one per change of the other, and their correlation, at the delay
-    at which it is strongest."""
+    """How a measured quantity follows its command, at the delay of the strongest correlation.
+
+    slope: change of the quantity per change of the command.
+    """
 
     measured: str
     slope: float
@@ -44,8 +47,8 @@ class Following(NamedTuple):
 
 
 def frames(schema: Schema, recordings: Sequence[Recording]) -> list[Frame]:
-    """Of every body that turns and has positions in the world."""
-    layout, found = Layout(schema), []
+    """One for every body that has a heading, and positions in the world frame."""
+    layout, compared = Layout(schema), []
     for b, heading in enumerate(layout.heading):
         axes = [a for a in (X, Y) if layout.velocity[b, a] >= 0]
         positions = [int(i) for i in layout.position[b, [X, Y]]]
@@ -57,9 +60,9 @@ def frames(schema: Schema, recordings: Sequence[Recording]) -> list[Frame]:
         in_world = layout.in_world("velocity", b)
         as_is, turned = (world, own) if in_world else (own, world)
         name = lambda indices: tuple(schema.state[i].name for i in indices)  # noqa: E731
-        found.append(Frame(name(velocities), name(positions), schema.state[heading].name, in_world,
-                           _cosine(measured, as_is[:, axes]), _cosine(measured, turned[:, axes])))  # fmt: skip
-    return found
+        compared.append(Frame(name(velocities), name(positions), schema.state[heading].name, in_world,
+                              _cosine(measured, as_is[:, axes]), _cosine(measured, turned[:, axes])))  # fmt: skip
+    return compared
 
 
 def _moved(
@@ -81,27 +84,27 @@ def _cosine(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def following(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Following]:
-    """By command of a velocity, position or angle, where that is measured.
+    """By command, for commands of a velocity, position or angle that is measured.
 
-    Velocities are compared in the body's own frame, less what carries the body.
+    Velocities are compared in the body's own frame, minus those of its carrier.
     """
     used = leading(recordings, ROWS)
     session = np.repeat(np.arange(len(used)), [len(r.time_s) for r in used])
     step = float(np.median(np.concatenate([np.diff(r.time_s) for r in used])))
     delays = range(min(int(DELAY_S / step) + 1, 100, len(session) - 1))
-    found = {}
+    followed = {}
     for name, measured, command, value in _commanded(schema, used):
         fits = [_fit(command, value, session, k) for k in delays]
         slope, correlation = max(fits, key=lambda fit: abs(fit[1]), default=(0.0, 0.0))
         if correlation:
-            found[name] = Following(measured, slope, correlation)
-    return found
+            followed[name] = Following(measured, slope, correlation)
+    return followed
 
 
 def _commanded(
     schema: Schema, recordings: Sequence[Recording]
 ) -> Iterator[tuple[str, str, Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
-    """Name of a command, of what it commands, and the values of both."""
+    """Names of a command and of the quantity that it commands, and the values of both."""
     state = np.concatenate([r.state for r in recordings])
     command = np.concatenate([r.command for r in recordings])
     for i, field in enumerate(schema.command):
@@ -124,8 +127,8 @@ def _commanded(
 
 def _fit(command: np.ndarray, value: np.ndarray, session: np.ndarray, delay: int) -> tuple[float, float]:
     """Slope of the value on the command `delay` rows before, and their correlation."""
-    whole = session[delay:] == session[: len(session) - delay]
-    u, v = command[: len(command) - delay][whole], value[delay:][whole]
+    same = session[delay:] == session[: len(session) - delay]
+    u, v = command[: len(command) - delay][same], value[delay:][same]
     if len(u) < 3 or not np.ptp(u) or not np.ptp(v):
         return 0.0, 0.0
     u, v = u - u.mean(dtype=np.float64), v - v.mean(dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Diagnose a simulator from Python, and load what a diagnosis left."""
+"""Diagnose a simulator from Python, and load the corrected simulator of a diagnosis."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ Columns = Mapping[str, Any]
 """A session as a table: a DataFrame of any library, or a dictionary of arrays, with the schema's columns."""
 Folder = str | PathLike[str]
 Recordings = Folder | Sequence[Folder] | Columns | Recording | Sequence[Columns | Recording] | Mapping[str, Columns]
-"""A folder of sessions, or several; one session; several, in a list, or by name in a dictionary."""
+"""One folder of sessions, or several; one session; several sessions in a list, or by name in a dictionary."""
 
 
 def diagnose(
@@ -40,38 +40,38 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
-    """Say what a simulator leaves out of recordings.
+    """Find what a simulator leaves out, by comparing it with recordings.
 
     simulator: an object with `schema`, `parameters`, `time_step` and `step`, or an `Engine`; or its name, `spot` or
     `package.module:name`; or the path of an MJCF or URDF, as it is or as a `ModelFile` with servos. recordings: a
     folder, or several of experiments with one machine, or sessions as tables with the schema's columns, `time_s` first.
-    heldout: sessions to judge by; without them, every fourth of `recordings` is held out (the last of fewer).
-    baseline: sessions from before the machine changed: the question is what changed since. progress: is called with
-    every step, in words.
+    heldout: sessions for validation; without them, every fourth of `recordings` is held out (the last of fewer).
+    baseline: sessions from before the machine changed; the diagnosis then finds what changed since. progress: is called
+    with a line of text at every step.
 
-    Raises ConfigError for a simulator or a seed that cannot be used, RecordingError where recordings cannot be, and
-    DivergenceError when the simulator leaves the finite numbers on them.
+    Raises ConfigError for a simulator or a seed that cannot be used, RecordingError for recordings that cannot be used,
+    and DivergenceError if the simulator does not stay finite on them.
     """
     check_seed(seed)
-    asked = {"recordings": recordings, "heldout": heldout, "baseline": baseline}
-    asked = {purpose: some for purpose, some in asked.items() if some is not None}
-    used = _used(simulator, list(asked.values()))
+    sources = {"recordings": recordings, "heldout": heldout, "baseline": baseline}
+    sources = {purpose: source for purpose, source in sources.items() if source is not None}
+    used = _used(simulator, list(sources.values()))
     errors: list[str] = []
-    given = {purpose: _given(purpose, some, used.simulator, errors) for purpose, some in asked.items()}
+    given = {purpose: _given(purpose, source, used.simulator, errors) for purpose, source in sources.items()}
     sessions = arranged(used.simulator.schema, given["recordings"], given.get("heldout"), given.get("baseline"))
-    say = progress or (lambda _: None)
-    used = started(used, sessions, say)
-    found = find(used.simulator, used.name, sessions, seed, say)
-    return Result.of(used, found, errors)
+    report = progress or (lambda _: None)
+    used = started(used, sessions, report)
+    diagnosis = find(used.simulator, used.name, sessions, seed, report)
+    return Result.of(used, diagnosis, errors)
 
 
 def load(
     folder: str | PathLike[str], simulator: StepModel | Engine | str | PathLike[str] | None = None
 ) -> AugmentedSimulator:
-    """The simulator that a diagnosis in a folder corrected: with the effects that were found, and its fitted parameters
-    as the nominal ones (`simgap.nominal`). It is a `StepModel`, as the simulator was.
+    """Load the corrected simulator of a diagnosis in a folder, a `StepModel`.
 
-    simulator: the one that was diagnosed, where its name or its file in `diagnosis.json` does not lead to it.
+    It has the effects that were found; its nominal parameters (`simgap.nominal`) are the fitted ones. simulator: the
+    one that was diagnosed, if the name or file in `diagnosis.json` does not lead to it.
     """
     statement = read_statement(Path(folder))
     used = _again(statement, simulator)
@@ -79,8 +79,10 @@ def load(
 
 
 def _again(statement: Mapping[str, Any], simulator: Any) -> StepModel | Engine:
-    """The simulator of a diagnosis: the one given, or the one that the statement remembers; of a model file given, what
-    the recordings had is remembered too."""
+    """The simulator of a diagnosis: the one given, else the one in the statement.
+
+    For a model file, what the statement keeps of the recordings is used too.
+    """
     kept = statement.get("model_file")
     if kept and (simulator is None or isinstance(simulator, str | PathLike)):
         return recalled(kept if simulator is None else {**kept, "path": str(simulator)})
@@ -100,13 +102,13 @@ def _used(simulator: Any, recordings: Sequence[Recordings]) -> Used:
 
 
 def _seen(recordings: Sequence[Recordings]) -> Seen:
-    """What the recordings of all purposes have, for a model file."""
+    """What the recordings of all purposes hold, for a model file."""
     looks: list[Look] = []
-    for some in recordings:
-        if folders := _folders(some):
+    for source in recordings:
+        if folders := _folders(source):
             looks += [look for folder in folders for look in peek.in_folder(folder)]
             continue
-        for name, table in _named(some):
+        for name, table in _named(source):
             if not _is_table(table):
                 raise RecordingError(f"session {name}: with a model file it must be a table, whose columns have names; "
                                      f"it is {type(table).__name__}.")  # fmt: skip
@@ -115,32 +117,32 @@ def _seen(recordings: Sequence[Recordings]) -> Seen:
 
 
 def _name_of(simulator: Any) -> str:
-    """`package.module:name`, by which `load` finds it again, where its class's module has it; else the class's name."""
+    """`package.module:name`, by which `load` finds it again, if its class's module holds it; else the class's name."""
     kind = type(simulator)
-    there = [n for n, value in vars(sys.modules[kind.__module__]).items() if value is simulator]
-    return f"{kind.__module__}:{there[0]}" if there and kind.__module__ != "__main__" else kind.__name__
+    names = [n for n, value in vars(sys.modules[kind.__module__]).items() if value is simulator]
+    return f"{kind.__module__}:{names[0]}" if names and kind.__module__ != "__main__" else kind.__name__
 
 
 def _given(purpose: str, recordings: Recordings, simulator: StepModel | Engine, errors: list[str]) -> Given:
-    """Sessions of one purpose, from wherever they are; `errors` gets why files of a folder are left out."""
+    """Sessions of one purpose, from folders or tables; `errors` gets why files of a folder are left out."""
     if folders := _folders(recordings):
         return together([in_folder(folder, simulator, errors) for folder in folders])
-    sessions = [_session(name, some, simulator.schema) for name, some in _named(recordings)]
+    sessions = [_session(name, session, simulator.schema) for name, session in _named(recordings)]
     if not sessions:
         raise RecordingError(f"{purpose}: no session is given. Give at least one, as a table or a folder.")
     return Given(sessions, purpose, purpose)
 
 
 def _folders(recordings: Recordings) -> list[Path]:
-    """The folders that recordings are given as; none where they are tables."""
+    """The folders, if recordings are given as folders; empty if they are tables."""
     if isinstance(recordings, str | PathLike):
         return [Path(recordings)]
-    some = isinstance(recordings, Sequence) and all(isinstance(each, str | PathLike) for each in recordings)
-    return [Path(str(each)) for each in recordings] if some else []
+    are_paths = isinstance(recordings, Sequence) and all(isinstance(path, str | PathLike) for path in recordings)
+    return [Path(str(path)) for path in recordings] if are_paths else []
 
 
 def _named(recordings: Any) -> Iterator[tuple[str, Any]]:
-    """Sessions with their names; those without any are counted."""
+    """Sessions with their names; those without a name are numbered."""
     if isinstance(recordings, Recording):
         yield recordings.name, recordings
     elif _is_table(recordings):
@@ -148,8 +150,8 @@ def _named(recordings: Any) -> Iterator[tuple[str, Any]]:
     elif isinstance(recordings, Mapping):
         yield from recordings.items()
     elif isinstance(recordings, Sequence):
-        for i, some in enumerate(recordings, 1):
-            yield some.name if isinstance(some, Recording) else f"session_{i}", some
+        for i, session in enumerate(recordings, 1):
+            yield session.name if isinstance(session, Recording) else f"session_{i}", session
     else:
         raise ConfigError(
             f"recordings must be a folder, tables with the schema's columns, or a list or dictionary of such tables; "
@@ -157,30 +159,30 @@ def _named(recordings: Any) -> Iterator[tuple[str, Any]]:
         )
 
 
-def _is_table(some: Any) -> bool:
-    return hasattr(some, "columns") or (isinstance(some, Mapping) and "time_s" in some)
+def _is_table(value: Any) -> bool:
+    return hasattr(value, "columns") or (isinstance(value, Mapping) and "time_s" in value)
 
 
-def _session(name: str, some: Any, schema: Schema) -> Recording:
-    """A session, checked as one from a file is."""
-    if isinstance(some, Recording):
+def _session(name: str, session: Any, schema: Schema) -> Recording:
+    """A session, checked like one from a file."""
+    if isinstance(session, Recording):
         widths = [len(schema.outputs), len(schema.command)]
-        rows = [np.asarray(part, float) for part in (some.state, some.command)]
+        rows = [np.asarray(part, float) for part in (session.state, session.command)]
         if [part.ndim for part in rows] != [2, 2] or [part.shape[1] for part in rows] != widths:
             raise RecordingError(
-                f"session {name}: state and command must have {widths[0]} and {widths[1]} columns, as the schema; they "
-                f"have the shapes {rows[0].shape} and {rows[1].shape}."
+                f"session {name}: state and command must have {widths[0]} and {widths[1]} columns, as in the schema; "
+                f"they have the shapes {rows[0].shape} and {rows[1].shape}."
             )
-        some = dict(zip(schema.columns, [some.time_s, *rows[0].T, *rows[1].T], strict=True))
-    elif not _is_table(some):
+        session = dict(zip(schema.columns, [session.time_s, *rows[0].T, *rows[1].T], strict=True))
+    elif not _is_table(session):
         raise RecordingError(
             f"session {name}: must be a table with the columns {', '.join(schema.columns)}; it is "
-            f"{type(some).__name__}."
+            f"{type(session).__name__}."
         )
-    there = list(some.columns) if hasattr(some, "columns") else list(some)
-    columns = {c: np.asarray(some[c]) for c in schema.columns if c in there}
+    names = list(session.columns) if hasattr(session, "columns") else list(session)
+    columns = {c: np.asarray(session[c]) for c in schema.columns if c in names}
     lengths = {c: np.shape(values) for c, values in columns.items()}
     if any(len(shape) != 1 for shape in lengths.values()) or len(set(lengths.values())) > 1:
-        raise RecordingError(f"session {name}: every column must be one row of numbers, all as long; they have the "
-                             f"shapes {lengths}.")  # fmt: skip
+        raise RecordingError(f"session {name}: every column must be one series of numbers, all of the same length; "
+                             f"they have the shapes {lengths}.")  # fmt: skip
     return checked(f"session {name}", schema, columns)._replace(name=str(name))

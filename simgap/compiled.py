@@ -1,7 +1,7 @@
-"""Compiled code that is kept in memory, and when there is too much of it.
+"""Compiled functions in memory, and when to clear them.
 
-Every compiled function holds a dozen maps of memory, and Linux allows a process 65,530 of them
-(`vm.max_map_count`). Beyond, LLVM ends the process. A process that diagnoses machine after machine gets there.
+Every compiled function holds a dozen memory maps, and Linux allows a process 65,530 of them
+(`vm.max_map_count`). Beyond that, LLVM ends the process. A process that diagnoses one machine after another gets there.
 """
 
 from pathlib import Path
@@ -10,13 +10,14 @@ import jax
 
 MAPS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 FULL = 0.4
-"""Share of the allowed maps from which on compiled functions are forgotten: what one diagnosis adds stays below the
-rest."""
+"""Share of the allowed maps from which on compiled functions are cleared: one diagnosis adds less than the rest."""
 
 
 def forget_if_many() -> bool:
-    """Forget all compiled functions where their maps are many; returns whether they were. They are compiled again, or
-    read from the cache on disk, when they are called. Elsewhere than on Linux nothing is forgotten."""
+    """Clear all compiled functions if they hold too many maps; returns whether it did. Linux only.
+
+    A cleared function is compiled again, or read from the cache on disk, when it is called.
+    """
     try:
         with MAPS.open("rb") as maps:
             count = sum(1 for _ in maps)

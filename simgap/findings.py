@@ -1,4 +1,4 @@
-"""What looks wrong in a set of recordings, in words, each with what to do."""
+"""What looks wrong in a set of recordings, as sentences that say what to do."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -12,16 +12,17 @@ from simgap.repeats import Repeat, repeats
 from simgap.types import Recording, Schema
 
 NAMED = 3
-"""Sessions that a finding names; of others it says how many there are."""
+"""Maximum number of sessions that a finding names; the others are counted."""
 TURNED, TURNED_BETTER = 0.8, 4.0
-"""Agreement from which on velocities match in the other frame, and how many times less they must miss it by there."""
+"""Velocities are in the other frame if they match it with at least this agreement, and if their disagreement (1 minus
+agreement) is this many times smaller there."""
 FOLLOWS, UNUSUAL = 0.7, 5.0
-"""Correlation from which on a machine follows a command, and the factor between the two that is no machine's gain."""
+"""Minimum correlation of a command that is followed, and the factor between the two that cannot be a machine's gain."""
 UNITS: Mapping[str, float] = {"degrees and radians": 180 / np.pi, "revolutions a minute and rad/s": 30 / np.pi,
                               "millimetres and metres": 1000, "centimetres and metres": 100}  # fmt: skip
 UNIT_GAIN = 1.3
-"""Gain of the machine's own, beside which a factor is still taken for one between units: half way from degrees and
-radians to centimetres and metres."""
+"""Gain that the machine may have besides a factor between units: half way (as a ratio) from degrees and radians to
+centimetres and metres."""
 
 
 class Survey(NamedTuple):
@@ -54,7 +55,7 @@ def look(schema: Schema, recordings: Sequence[Recording]) -> Survey:
 
 
 def findings(schema: Schema, time_step: float, found: Survey) -> list[str]:
-    """What looks wrong; `time_step` [s] is the simulator's."""
+    """One sentence for everything that looks wrong; `time_step` [s] is the simulator's."""
     return [
         *_of_rates(found.rates, time_step),
         *_of_repeats(found.repeats),
@@ -64,7 +65,7 @@ def findings(schema: Schema, time_step: float, found: Survey) -> list[str]:
     ]
 
 
-def _some(names: Sequence[str]) -> str:
+def _named(names: Sequence[str]) -> str:
     more = f" and {len(names) - NAMED:,} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
 
@@ -78,52 +79,52 @@ def _of_rates(rates: Mapping[str, survey.Rate], time_step: float) -> Iterator[st
     off = [name for name, r in rates.items() if abs(r.median_s / time_step - 1) > 0.1]
     if off:
         worst = max(off, key=lambda name: abs(np.log(rates[name].median_s / time_step)))
-        yield (f"{_some(off)}: rows are {rates[worst].median_s:.4g} s apart, the simulator's step is {time_step:.4g} "
+        yield (f"{_named(off)}: rows are {rates[worst].median_s:.4g} s apart, the simulator's step is {time_step:.4g} "
                "s. Resample (`simgap import`), or give the simulator that step.")  # fmt: skip
     stalled = [name for name, r in rates.items() if r.stalls > 0.01]
     if stalled:
         worst = max(stalled, key=lambda name: rates[name].stalls)
         r = rates[worst]
-        yield (f"{_some(stalled)}: up to {r.stalls:.0%} of the rows last longer than {survey.STALL:g} medians, in "
-               f"{worst} at most {r.longest_s:.3g} s (row {r.longest_row}). Look for a recorder that "
-               "stalls.")  # fmt: skip
+        yield (f"{_named(stalled)}: up to {r.stalls:.0%} of the rows last over {survey.STALL:g} times the median, in "
+               f"{worst} at most {r.longest_s:.3g} s (row {r.longest_row}). Check whether the "
+               "recorder stalls.")  # fmt: skip
     cut = [name for name, r in rates.items() if r.gaps]
     if cut:
         worst = max(cut, key=lambda name: rates[name].longest_s / rates[name].median_s)
         r = rates[worst]
         gaps, where = ("one gap dwarfs", "there") if r.gaps == 1 else (f"{r.gaps} gaps dwarf", "at each")
-        yield (f"{_some(cut)}: {gaps} all other intervals, in {worst} {r.longest_s:.4g} s after row {r.longest_row}; "
+        yield (f"{_named(cut)}: {gaps} all other intervals, in {worst} {r.longest_s:.4g} s after row {r.longest_row}; "
                f"the longest of the others is {r.others_s:.3g} s. Split the session {where}: a row is predicted from "
                "the one before.")  # fmt: skip
 
 
 def _of_repeats(found: Sequence[Repeat]) -> Iterator[str]:
-    whole = [f"{r.second} (as {r.first})" for r in found if r.rows == r.of]
-    if whole:
-        yield (f"Sessions that are there twice: {_some(whole)}. Remove one of each: held-out sessions must be ones "
-               "that nothing was fitted to.")  # fmt: skip
-    parts = [f"{r.first} and {r.second} ({r.rows:,} rows)" for r in found if r.rows < r.of]
-    if parts:
-        yield (f"Sessions overlap, they have rows in common: {_some(parts)}. Cut them so that no row is there twice.")
+    duplicates = [f"{r.second} (same as {r.first})" for r in found if r.rows == r.of]
+    if duplicates:
+        yield (f"Duplicate sessions: {_named(duplicates)}. Remove one of each: held-out sessions must not be among the "
+               "fitted ones.")  # fmt: skip
+    overlaps = [f"{r.first} and {r.second} ({r.rows:,} rows)" for r in found if r.rows < r.of]
+    if overlaps:
+        yield (f"Overlapping sessions: {_named(overlaps)}. Cut them so that no row occurs twice.")
 
 
 def _of_columns(schema: Schema, columns: Mapping[str, survey.Column]) -> Iterator[str]:
     state = {f.name for f in schema.state}
     for name, c in columns.items():
         if c.low == c.high == 0 and name not in state:
-            continue  # `_of_commands` says so
+            continue  # reported by `_of_commands`
         if c.low == c.high:
-            yield f"{name} never changes from {c.low:.4g}. Nothing can be said of what depends on it."
+            yield f"{name} is always {c.low:.4g}. Effects that depend on it cannot be found."
         elif name in state and c.still:
-            yield (f"{name} never changes in {_some(c.still)}, and does in other sessions. Look for a sensor that was "
-                   "off, or leave the sessions out.")  # fmt: skip
+            yield (f"{name} never changes in {_named(c.still)}, but does in other sessions. Check whether the sensor "
+                   "was off; if so, leave these sessions out.")  # fmt: skip
         elif name in state and c.repeated > 0.5:
-            yield (f"{name} repeats its last value in {c.repeated:.0%} of the rows. Look for a sensor slower than the "
-                   "rows, and lower the rate.")  # fmt: skip
+            yield (f"{name} repeats its last value in {c.repeated:.0%} of the rows. Its sensor may be slower than the "
+                   "recorder: lower the rate.")  # fmt: skip
         if c.jumps:
             where = ", ".join(f"{session} row {row}" for session, row in c.jumps[:NAMED])
-            yield (f"{name} jumps {len(c.jumps)} times ({where}). Look for outliers, a reset, or an angle that wraps "
-                   "at another place than pi.")  # fmt: skip
+            yield (f"{name} jumps {len(c.jumps)} times ({where}). Check for outliers, resets, or an angle that does "
+                   "not wrap at pi.")  # fmt: skip
 
 
 def _of_velocities(found: Survey) -> Iterator[str]:
@@ -133,21 +134,22 @@ def _of_velocities(found: Survey) -> Iterator[str]:
             continue
         turned.update(f.velocities)
         there, should = ("the body's", "the world's") if f.world else ("the world's", "the body's")
-        mend = (
+        remedy = (
             "give `frame: body` for them in the mapping (`simgap import`), or rotate them" if f.world else "rotate them"
         )
         yield (f"{', '.join(f.velocities)} do not match the change of {', '.join(f.positions)} (agreement "
-               f"{f.as_is:.2f}); these match if rotated by {f.yaw} ({f.turned:.2f}): they are along {there} axes and "
-               f"must be along {should}. To mend it, {mend}.")  # fmt: skip
+               f"{f.as_is:.2f}); they do if rotated by {f.yaw} ({f.turned:.2f}). They are along {there} axes and "
+               f"must be along {should}. To fix it, {remedy}.")  # fmt: skip
     for name, k in found.kinematics.items():
         if name in turned:
             continue
         if abs(k.correlation) < 0.5:
-            yield (f"{name} does not go with the change of {k.position} (correlation {k.correlation:.2f}). Look at "
-                   "frames (world or body), at the topic, at the clocks.")  # fmt: skip
+            yield (f"{name} does not match the change of {k.position} (correlation {k.correlation:.2f}). Check "
+                   "frames (world or body), topic and clocks.")  # fmt: skip
         elif not 0.8 < k.slope < 1.25:
             yield (
-                f"{k.position} changes by {k.slope:.3g} times what {name} says. Look at units, signs, stamps and rate."
+                f"{k.position} changes {k.slope:.3g} times as fast as {name} says. Check units, signs, time stamps "
+                "and rate."
             )
     yield from (sentence(d) for d in found.derived)
 
@@ -157,22 +159,22 @@ def _of_commands(found: Survey) -> Iterator[str]:
         if abs(f.correlation) < FOLLOWS or 1 / UNUSUAL < f.slope < UNUSUAL:
             continue
         if f.slope < 0:
-            yield (f"{f.measured} goes against {name} (correlation {f.correlation:.2f}). Look at signs and axes: give "
-                   "`sign: -1` in the mapping (`simgap import`).")  # fmt: skip
+            yield (f"{f.measured} moves opposite to {name} (correlation {f.correlation:.2f}). Check signs and axes: "
+                   "give `sign: -1` in the mapping (`simgap import`).")  # fmt: skip
             continue
         factor = max(f.slope, 1 / f.slope)
         like = next(
             (f", as between {units}" for units, u in UNITS.items() if 1 / UNIT_GAIN < factor / u < UNIT_GAIN), ""
         )
         large, small = (name, f.measured) if f.slope < 1 else (f.measured, name)
-        yield (f"{large} is {factor:.3g} times {small} (correlation {f.correlation:.2f}){like}. Look at the units of "
+        yield (f"{large} is {factor:.3g} times {small} (correlation {f.correlation:.2f}){like}. Check the units of "
                "both: give `unit` in the mapping (`simgap import`).")  # fmt: skip
     for name, e in found.excitation.items():
         constant = found.columns[name].low == found.columns[name].high
         if e.moving == 0:
-            yield f"The command {name} is never used: what it does cannot be learnt. Record it."
+            yield f"The command {name} is never used, so its effect cannot be determined. Record sessions that use it."
         elif e.moving < 0.05 and not constant:
-            yield f"The command {name} moves in {e.moving:.1%} of the rows alone. Record more of it."
+            yield f"The command {name} moves in only {e.moving:.1%} of the rows. Record more of it."
         if abs(e.correlation) > 0.95 and name < e.like:
-            yield (f"The commands {name} and {e.like} go together (correlation {e.correlation:.2f}): which of them has "
-                   "an effect stays open. Record them apart.")  # fmt: skip
+            yield (f"The commands {name} and {e.like} move together (correlation {e.correlation:.2f}), so their "
+                   "effects cannot be separated. Record them independently.")  # fmt: skip

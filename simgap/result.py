@@ -24,8 +24,11 @@ from simgap.types import ConfigError, StepModel
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect that is missing: its id in the catalogue, what is said of it, the probability of its name, outputs
-    that it shows in, commands that it acts on, and its constants by name, with unit and 95 % interval."""
+    """One missing effect.
+
+    id: in the catalogue. statement: the effect in words. probability: of its name. outputs: where it shows. channels:
+    commands that it acts on. constants: by name, each with value, unit and 95 % interval.
+    """
 
     id: str
     statement: str
@@ -37,12 +40,12 @@ class Effect:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as SVG; a notebook shows it."""
+    """A picture as SVG, which a notebook shows."""
 
     svg: bytes
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write it to a file that ends in `.svg`."""
+        """Write it to a file, such as `forecasts.svg`."""
         write_bytes(Path(path), self.svg)
 
     def _repr_svg_(self) -> str:
@@ -51,9 +54,9 @@ class Picture:
 
 @dataclass(frozen=True)
 class Result:
-    """What a simulator leaves out of recordings.
+    """What a simulator leaves out, according to recordings.
 
-    diagnosed: the simulator. found: the diagnosis with the arrays behind its pictures. left_out: why sessions of a
+    diagnosed: the simulator. found: the diagnosis, with the arrays behind its pictures. left_out: why sessions of a
     folder were not used.
     """
 
@@ -63,7 +66,7 @@ class Result:
 
     @staticmethod
     def of(used: Used, found: Diagnosis, left_out: Sequence[str]) -> "Result":
-        """The diagnosis of a simulator; that of a model file also in the model's own terms."""
+        """The result for a simulator; for a model file also in the model's own terms."""
         if used.model_file is None:
             return Result(used.simulator, found, tuple(left_out))
         from simgap.simulators.mujoco import account
@@ -74,7 +77,7 @@ class Result:
 
     @property
     def statement(self) -> dict[str, Any]:
-        """All that was found, as `diagnosis.json` holds it (docs/reference/diagnosis_json.md)."""
+        """The whole diagnosis, as in `diagnosis.json` (docs/reference/diagnosis_json.md)."""
         return self.found.statement
 
     @property
@@ -95,14 +98,14 @@ class Result:
 
     @cached_property
     def simulator(self) -> AugmentedSimulator:
-        """The simulator with these effects, and the fitted parameters as its nominal ones (`simgap.nominal`)."""
+        """The simulator with these effects; its nominal parameters (`simgap.nominal`) are the fitted ones."""
         model = self.found.model
         acting = Acting(model.theta, model.delta, model.regimes)
         return diagnoses.corrected(self.diagnosed, model.phi, acting, model.scales)
 
     @property
     def experiment(self) -> dict[str, np.ndarray] | None:
-        """Commands that would tell the best explanations apart, by column, `time_s` first; None without any."""
+        """Commands that would separate the likeliest explanations, by column, `time_s` first; None without any."""
         if self.found.experiment is None:
             return None
         time_s, commands = self.found.experiment
@@ -110,30 +113,37 @@ class Result:
         return {"time_s": time_s, **dict(zip(names, commands.T, strict=True))}
 
     def to_html(self, path: str | PathLike[str] | None = None) -> str:
-        """The page, one self-contained document; also written to `path`, if one is given."""
+        """The page as one self-contained document; also written to `path` if one is given."""
         page = pages.page(self.statement, self.found.evidence)
         if path is not None:
             write_text(Path(path), page)
         return page
 
     def save(self, folder: str | PathLike[str]) -> None:
-        """Write `diagnosis.json`, `diagnosis.html`, `augmented.npz`, from which `simgap.load` makes the simulator;
-        `experiment.csv`, where there is an experiment to make; and a model file with what was found written into it."""
+        """Write the diagnosis to a folder.
+
+        The files are `diagnosis.json`, `diagnosis.html`, `augmented.npz` (from which `simgap.load` makes the
+        simulator), `experiment.csv` if an experiment is proposed, and the corrected model if a model file was
+        diagnosed.
+        """
         make_folder(Path(folder))
         diagnoses.write(Path(folder), self.found, self.to_html(), self.diagnosed.schema, self._models(Path(folder)))
 
     def _models(self, folder: Path) -> dict[str, str]:
-        """Model files with what was found written into them, for a folder, by name."""
+        """Corrected model files for a folder, by name."""
         if not self.statement.get("patched"):
             return {}
         from simgap.simulators.mujoco import account
 
-        found = account.patched(cast(Any, self.diagnosed), self.found.model, self.statement, folder)
-        return {self.statement["patched"]["file"]: found.xml}
+        patched = account.patched(cast(Any, self.diagnosed), self.found.model, self.statement, folder)
+        return {self.statement["patched"]["file"]: patched.xml}
 
     def plot(self, what: Literal["forecasts", "laws", "sessions", "experiment"] = "forecasts") -> list[Picture]:
-        """Pictures of the page: forecasts of held-out sessions against what was measured, the effects' laws over the
-        data, the excess error of every session over time, or the commands of the proposed experiment."""
+        """Pictures of the page.
+
+        They are forecasts of held-out sessions with the measurements, the effects' laws over the data, the excess error
+        of every session over time, or the commands of the proposed experiment.
+        """
         figures = pages.figures(self.statement, self.found.evidence)
         drawn = {
             "forecasts": figures.rollouts,
@@ -149,5 +159,5 @@ class Result:
         return self.statement["statement"]
 
     def _repr_html_(self) -> str:
-        # A page has a style of its own, which must not reach the notebook's.
+        # In a frame, so that the page's style does not apply to the notebook.
         return f'<iframe srcdoc="{escape(self.to_html())}" width="100%" height="700" style="border:0"></iframe>'

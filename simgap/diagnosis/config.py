@@ -1,42 +1,85 @@
-"""Numbers that decide what is claimed, each with its reason."""
+"""Thresholds of the diagnosis, each with its reason."""
 
 LEVEL = 0.004
-"""Chance at which noise alone may pass for an effect, over all hypotheses together."""
+"""Probability that noise alone passes for an effect, over all hypotheses together."""
 LEAST_SHARE = 0.03
-"""A further effect must gain this share of what those before it gained in the same outputs: less may be no more than
-the difference between their laws and the robot's."""
+"""A further effect must gain this share of what the accepted effects gained in the same outputs: smaller gains may only
+reflect misfit of their laws."""
 DISCREPANCY = 1.0
-"""By which share of its contribution a law may be wrong: as much of it is not credited to further effects."""
+"""Share of its contribution by which a law may be wrong: that much is not credited to further effects."""
 MOST_EFFECTS = 4
-"""Different effects that a diagnosis adds at most: a search that goes on fits what the laws found do not."""
+"""Maximum number of different effects: a longer search would fit the misfit of the laws found."""
 MOST_SUPPORTS = 3
-"""Regimes, times or stretches in which effects may act at the same time; each costs a whole search."""
+"""Maximum number of supports (regimes, onsets, windows); each costs a whole search."""
 MOST_SITES = 6
-"""Steps of a search at most: an effect at several sites with several constants takes a step for each."""
+"""Maximum number of steps of a search: an effect takes one for each of its sites and constants."""
 RIVAL = 0.03
-"""Share of what a member was expected to gain when it was chosen that a rival must have been expected to gain."""
+"""Minimum expected gain of an alternative, as a share of that of the effect chosen at the same time."""
 LIKELY = 0.3
-"""Probability below which a name is but one of many: three as likely as each other may still be a credible set."""
+"""Minimum posterior probability for an effect to be named: each of three equally likely ones still has it."""
 EXPLAINED = 0.5
-"""Share of what there is to explain that named physics must explain for the vocabulary to be the answer."""
+"""Minimum share of what there is to explain that an effect, or all of them together, must explain: below it, something
+unnamed explains more."""
 BLOCK = 20
-"""Rows whose scores are taken to be dependent."""
+"""Rows per block; scores of rows in the same block are treated as dependent."""
 FEW = 10
-"""Blocks that are too few to tell a variance."""
+"""Minimum number of blocks for the estimate of a variance."""
 LEAST_SESSIONS = 5
-"""Sessions from which on a session is the unit of a bootstrap; of fewer, runs of rows are."""
+"""Minimum number of sessions for a bootstrap over sessions; with fewer, it draws runs of rows."""
 MARGIN = 0.005
-"""Share of its error by which a model must be worse to be called so: any two differ by chance in the fourth digit."""
+"""Minimum relative increase of the error of a model called worse: any two differ by chance in the fourth digit."""
 LARGE = 0.1
-"""Share of the error in its outputs that an effect must remove, at one horizon at least, to be named whatever else is
+"""An effect must remove this share of the error in its outputs, at one horizon at least, to be named whatever else is
 missing."""
 WELL_DETERMINED = 5.0
-"""Standard deviations from zero at which a constant is known to 40 %, with 95 % confidence."""
+"""A constant this many standard deviations from zero is known to 40 %, with 95 % confidence."""
 POWER = 0.9
-"""Chance with which an effect of the reported size would have been found."""
+"""Probability with which an effect of the reported size would have been found."""
 CREDIBLE = 0.95
-"""Probability that a credible set holds together."""
+"""Total probability of a credible set."""
 REQUIRED = 8.0
-"""Gain [nats] that an onset or a stretch must add: two numbers, the best of some hundreds tried."""
+"""Gain [nats] that an onset or a window must add: it has two numbers, the best of some hundreds tried."""
 REQUIRED_OF_REGIMES = 16.0
-"""Gain [nats] that a regime must add: the best of thousands tried."""
+"""Gain [nats] that a regime must add: it is the best of thousands tried."""
+SHORTEST_PUSH = 8
+"""Minimum length [rows] of a push; as many rows next to it may still show its echo."""
+SHORTEST_WINDOW = 50
+"""Minimum length [rows] of a window in which a law of motion holds and not elsewhere."""
+NO_ONSET = 0.025
+"""Share of a session at either end in which no onset is reported: it would split off too few rows."""
+LEAST_ROWS_OF_REGIME = 0.04
+"""Minimum share of the rows inside a regime, and outside it."""
+SILENT = 4.0
+"""Maximum gain [nats] of an effect of another size outside a regime, apart from `LEAST_SHARE` of the gain inside."""
+CLEARLY = 1.1
+"""Factor on the gain of a push: another law in the same window must gain more than that, plus `REQUIRED`."""
+EXCEPTION = 3.0
+"""Factor on the gain of the best other window that a push must reach: what recurs is something else."""
+CONFIRMED = 0.5
+"""Share of an effect's gain with an engine's tables that it must also have with the engine itself."""
+AT_BOUND = 1e-3
+"""Distance from a bound, as a share of the range, below which a value counts as being at that bound."""
+REQUIRED_OF_NOISE = 10.0
+"""Minimum gain [nats] of an effect on the noise, which has two or three constants."""
+SURE_OF_NOISE = 3.5
+"""Standard deviations, over blocks of rows, by which the gain of an effect on all rows' noise must exceed zero."""
+SET_ASIDE = 3
+"""Best blocks of rows that do not count for an effect on few rows: it must occur repeatedly."""
+LINE_LEVEL = 1e-3
+"""Maximum p-value of a spectral line, over all frequencies and outputs."""
+STRONGER = 1.5
+"""Factor on the largest amplitude in a baseline that an oscillation must exceed to be new."""
+PREDICTABLE = 0.02
+"""Predictable shares of an output's squared innovations below this count as zero."""
+REQUIRED_OF_PREDICTION = 10.0
+"""Minimum gain [nats] of predicting innovations from earlier ones, beyond the gain by chance."""
+TOUCHED = 0.05
+"""An effect improves an output if it gains more than this share of its total gain there."""
+MOST_TERMS = 4
+"""Maximum number of terms of a nonparametric law."""
+MOST_ROWS = 0.6
+"""Maximum share of the rows in a regime that is reported as the place of a mismatch."""
+STANDS_OUT = 0.25
+"""Minimum difference between a regime's share of the excess error and its share of the rows for it to be reported."""
+Z95 = 1.96
+"""Standard deviations of a normal distribution at the ends of a 95 % interval."""

@@ -1,4 +1,4 @@
-"""The whole diagnosis: is anything missing, where, what, how much, does it help, and what now."""
+"""The whole diagnosis: whether something is missing, where, what, how much, whether it helps, and what to do."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -30,8 +30,12 @@ from simgap.types import Recording, Sessions, StepModel
 
 
 class AugmentedModel(NamedTuple):
-    """The augmented simulator's constants: parameters, effects' internal constants (see `Acting`), filter gain,
-    one-step noise of the innovations that `whiten` decorrelates, and the scales that the laws refer to."""
+    """Constants of the augmented simulator.
+
+    phi: parameters. theta, delta, regimes: the effects' internal constants (see `Acting`). gain: filter gain.
+    noise_scale, noise_dof: one-step noise of the innovations that `whiten` decorrelates. scales: those that the laws
+    refer to.
+    """
 
     phi: Float[np.ndarray, " p"]
     theta: Float[np.ndarray, " P"]
@@ -45,8 +49,11 @@ class AugmentedModel(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """statement: what is written as diagnosis.json. evidence: arrays for its pictures. model: the augmented simulator.
-    experiment: time [s] and commands that would tell the best explanations apart."""
+    """The result of a diagnosis.
+
+    statement: content of diagnosis.json. evidence: arrays for the pictures. model: the augmented simulator. experiment:
+    time [s] and commands that would separate the likeliest explanations.
+    """
 
     statement: dict[str, Any]
     evidence: dict[str, Any]
@@ -55,33 +62,33 @@ class Diagnosis(NamedTuple):
 
 
 def _quiet(_: str) -> None:
-    """Nobody listens."""
+    """Discard a progress message."""
 
 
 def diagnose(
     simulator: StepModel | Engine, name: str, sessions: Sessions, seed: int = 0, report: Reporter = _quiet
 ) -> Diagnosis:
-    """Diagnose the simulator called `name` against recordings; `say(line)` gets what is being tried.
+    """Diagnose the simulator called `name` against recordings; `report(line)` is called with the progress.
 
-    With a `baseline` the question is what changed since: the simulator is refitted to both sets, with the effects that
-    the baseline shows by itself, and an effect is claimed where it differs between the two.
+    With a baseline in `sessions`, the diagnosis finds what changed since: the simulator is refitted to both sets, with
+    the effects that the baseline shows by itself, and an effect is claimed if it differs between the two.
 
-    Raises DivergenceError when the simulator leaves the finite numbers on the recordings at its nominal parameters.
+    Raises DivergenceError if the simulator does not stay finite on the recordings at its nominal parameters.
     """
     compiled.forget_if_many()
     rng = np.random.default_rng(seed)
     found, sessions = explained(simulator, sessions, rng, report)
-    report("judging on held-out sessions")
+    report("scoring on held-out sessions")
     contestants = _contestants(found, rng)
     judged = _judged(found, contestants, sessions)
     problem = found.problem
     seen = sensitivity(problem, found.rounds[0].screening, hypotheses_of(problem.augmented, problem.scales))
     beyond = _beyond_ranges(found, simulator, sessions, rng, report)
     outcome = written.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
-    report("looking for the experiment that would tell explanations apart")
-    plan, none = _experiment(found, sessions.training)
+    report("designing an experiment that separates the likeliest explanations")
+    plan, notes = _experiment(found, sessions.training)
     statement = written.statement(name, found, sessions, outcome, plan, rng)
-    statement["notes"] += none
+    statement["notes"] += notes
     statement["replay"] = _replayed(found, contestants, sessions.heldout)
     evidence = written.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)
@@ -95,15 +102,16 @@ def _beyond_ranges(
     rng: np.random.Generator,
     report: Reporter,
 ) -> Explanation | None:
-    """What is found when parameters may leave their ranges; None where none is at the end of its range.
+    """The explanation when parameters may leave their ranges; None if none is at the end of its range.
 
-    A range that is too narrow shows as physics that is missing: what is claimed must not depend on it. Ranges of
-    an engine's parameters are wide.
+    A range that is too narrow looks like missing physics, so no claim may depend on it. An engine's ranges are wide and
+    need no such check.
     """
     if is_engine(simulator) or not found.anything or not at_bound(found.problem, found.base):
         return None
     report(
-        f"the same with ranges that do not hold, as {', '.join(at_bound(found.problem, found.base))} would leave them"
+        f"repeating the search without parameter ranges, since {', '.join(at_bound(found.problem, found.base))} ended "
+        "at a bound"
     )
     return explain(simulator, sessions, rng, report, ranges_hold=False)
 
@@ -111,7 +119,7 @@ def _beyond_ranges(
 def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Contestant]:
     problem = found.problem
     box = black_box.train(problem, found.base.v, rng)
-    # How far measurements are trusted is no part of the simulator: as it is, it gets the fitted gain as well.
+    # The filter gain is not part of the simulator, so the nominal one gets the fitted gain as well.
     nominal = found.nominal.v._replace(gain=found.base.v.gain, cross=found.base.v.cross)
     contestant = partial(Contestant, regimes=found.regimes)
     models = {"nominal": contestant(nominal), "refitted": contestant(found.base.v)}
@@ -121,7 +129,7 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
 
 
 def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Sessions) -> Judgement:
-    """Every contestant on pieces of both; nothing where held-out sessions are too short for a single piece."""
+    """Every contestant on held-out and fitted pieces; empty if the sessions are too short for a single piece."""
     step = found.problem.augmented.simulator.time_step
     fitted, unseen = scores.pieces_of(sessions.training, step), scores.pieces_of(sessions.heldout, step)
     if fitted is None or unseen is None:
@@ -142,7 +150,7 @@ def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Se
 def _replayed(
     found: Explanation, contestants: dict[str, Contestant], heldout: Sequence[Recording]
 ) -> dict[str, Any] | None:
-    """Errors of an engine in open loop, but those of the black box; None where there is nothing to replay."""
+    """Open-loop errors of an engine with every model except the black box; None if there is nothing to replay."""
     simulator, layout = found.problem.augmented.simulator, found.problem.augmented.layout
     pieces = replay.pieces_of(heldout, simulator.time_step)
     if pieces is None or not is_engine(simulator):
@@ -153,7 +161,7 @@ def _replayed(
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[written.Plan | None, list[str]]:
-    """For the least certain effect, what would separate it from its rival; or a note why nothing does."""
+    """An experiment that separates the least certain effect from its rival, or a note why there is none."""
     contested = [(m, m.rival) for m in found.members if m.rival is not None]
     if not contested or not found.problem.augmented.layout.schema.command:
         return None, []

@@ -1,4 +1,4 @@
-"""What a folder of recordings holds and what looks wrong in it, as a page for people: one HTML file, self-contained."""
+"""The page of a check: what a folder of recordings holds and what looks wrong in it. One self-contained HTML file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,11 +16,11 @@ from simgap.types import Recording, Schema, StepModel
 
 PAGE = "check.html"
 LISTED = 200
-"""Most sessions, and most files left out, that the page lists one by one."""
+"""Maximum number of sessions, and of left-out files, that the page lists."""
 
 
 class Checked(NamedTuple):
-    """Sessions, why others are left out, the survey of the sessions, and what looks wrong in them."""
+    """Sessions, why files are left out, the survey of the sessions, and what looks wrong in them."""
 
     sessions: list[Recording]
     left_out: list[str]
@@ -29,23 +29,23 @@ class Checked(NamedTuple):
 
 
 def check(folder: Path, simulator: StepModel | Engine) -> Checked:
-    """Read every session under the folder and survey them; RecordingError where none can be used."""
+    """Read and survey every session under the folder. Raises RecordingError if none can be used."""
     schema = simulator.schema.measured
     sessions, errors = read_recordings(folder, schema, simulator.time_step)
     survey = findings.look(schema, sessions)
-    said = findings.findings(schema, simulator.time_step, survey)
-    return Checked(sessions, [str(e) for e in errors], survey, said)
+    lines = findings.findings(schema, simulator.time_step, survey)
+    return Checked(sessions, [str(e) for e in errors], survey, lines)
 
 
 def write(folder: Path, name: str, checked: Checked, simulator: StepModel | Engine) -> Path:
-    """The page, in `folder`; returns its path."""
+    """Write the page into `folder`; returns its path."""
     path = folder / PAGE
     write_text(path, page(name, checked, simulator))
     return path
 
 
 def page(name: str, checked: Checked, simulator: StepModel | Engine) -> str:
-    """The whole document. `name`: the recordings'."""
+    """The whole document; `name` is that of the recordings."""
     schema, sessions, survey = simulator.schema.measured, checked.sessions, checked.survey
     rows, seconds = sum(len(r.time_s) for r in sessions), sum(float(r.time_s[-1] - r.time_s[0]) for r in sessions)
     longest = max(sessions, key=lambda r: len(r.time_s))
@@ -75,12 +75,12 @@ def page(name: str, checked: Checked, simulator: StepModel | Engine) -> str:
 
 
 def _beyond(count: int) -> str:
-    """How many are not listed; empty for none."""
+    """Number of entries that are not listed; empty for none."""
     return f"{count - LISTED:,}" if count > LISTED else ""
 
 
 def _shown(checked: Checked) -> list[tuple[Recording, Rate]]:
-    """The sessions of the table; where there are too many, those with the longest intervals in medians."""
+    """The sessions of the table; if there are too many, those with the longest interval relative to the median."""
     every = list(zip(checked.sessions, checked.survey.rates.values(), strict=True))
     uneven = sorted(range(len(every)), key=lambda i: every[i][1].median_s / every[i][1].longest_s)[:LISTED]
     return [every[i] for i in sorted(uneven)]

@@ -20,7 +20,7 @@ _TWO = (COLOURS["augmented"], COLOURS["nominal"])
 def intervals(recordings: Sequence[Recording], time_step: float) -> bytes:
     """The interval before every row [s], sessions one after another; the simulator's step as a line.
 
-    Drawn are some rows of every session, and its longest interval: fewer a session the more sessions there are.
+    For every session, it shows some rows and the longest interval. The more sessions, the fewer rows of each.
     """
     points = max(2, _POINTS * _SESSIONS // max(len(recordings), _SESSIONS))
     with matplotlib.rc_context(STYLE):

@@ -1,4 +1,4 @@
-"""A diagnosis as a page for people: draws the pictures that `simgap.page` shows."""
+"""The HTML page of a diagnosis, with its figures drawn."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from simgap.page.marks import MODELS
 
 Values = Mapping[str, Any]
 
-_FLOOR, _FLOOR_OF_NOISE = 0.02, 0.5  # least top of the colour scales [nats a row]; noise is not to glow
+_FLOOR, _FLOOR_OF_NOISE = 0.02, 0.5  # minimum top of the colour scales [nats a row]: noise stays pale
 
 
 def page(diagnosis: Values, evidence: Values) -> str:
@@ -18,7 +18,7 @@ def page(diagnosis: Values, evidence: Values) -> str:
 
 
 def figures(diagnosis: Values, evidence: Values) -> Figures:
-    """The page's pictures, drawn."""
+    """Draw the page's figures."""
     floor = _FLOOR_OF_NOISE if diagnosis["verdict"] in ("nothing", "inconclusive") else _FLOOR
     intervals = (diagnosis.get("located") or {}).get("intervals") or []
     panels, experiment = evidence.get("rollouts") or [], evidence.get("experiment")

@@ -25,13 +25,13 @@ _EXCESS = LinearSegmentedColormap.from_list("excess", EXCESS, bad="#e3e5e9")
 _LINES = {"nominal": ("-", 1.3), "refitted": ("-", 1.3), "augmented": ("-", 1.6), "black_box": ((0, (3, 3)), 1.3)}
 _WIDTH = 10.0  # of the page [inch]
 _COLUMNS = 3
-_DOTS = 120  # measured points a panel shows
-_NAME_SHOWN = 30  # characters of a session's name beside its strip
+_DOTS = 120  # measured points that a panel shows
+_NAME_SHOWN = 30  # characters of a session's name next to its strip
 _OVERSHOOT = 0.8  # how far a panel follows diverging predictions, in spans of what was measured
 
 
 def top_of_scale(values: Sequence[Any], floor: float) -> float:
-    """Where the colours of excess errors end [nats a row]: nearly the greatest value, one outlier does not count."""
+    """Top of the colour scale of excess [nats a row]: 99th percentile (outliers do not count), at least `floor`."""
     flat = np.concatenate([np.zeros(1), *(np.ravel(_numbers(v)) for v in values)])
     return max(float(np.nanpercentile(flat, 99)), floor)
 
@@ -78,7 +78,7 @@ def _strip(ax: Axes, strip: Values, intervals: Sequence[Values], y: float, top: 
 
 @matplotlib.rc_context(STYLE)
 def law(fitted: Values) -> bytes:
-    """The law of an effect as a line over the data it explains, dots with their errors."""
+    """The law of an effect as a line, and the data that it explains as dots with error bars."""
     figure = Figure(figsize=(4.5, 2.7), layout="constrained")
     ax = figure.add_subplot()
     x, y = _numbers(fitted["x"]), _numbers(fitted["y"])
@@ -95,7 +95,7 @@ def law(fitted: Values) -> bytes:
 
 @matplotlib.rc_context(STYLE)
 def rollouts(panels: Sequence[Values]) -> bytes:
-    """A panel per output of one session: dots as measured, a line per model over time [s]."""
+    """A panel per output of one session, over time [s]: measurements as dots, a line per model."""
     columns = min(_COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
     figure = Figure(figsize=(_WIDTH, 1.55 * rows + 0.25), layout="constrained")
@@ -135,7 +135,7 @@ def _broken(line: Float[np.ndarray, " T"], unit: str) -> Float[np.ndarray, " T"]
 
 
 def _limits(measured: Float[np.ndarray, " T"], drawn: Float[np.ndarray, " k"]) -> tuple[float, float]:
-    """Limits of a panel: all that is drawn, but for what leaves the measured range by far."""
+    """Limits of a panel: the range of everything drawn, except what is far outside the measured range."""
     measured, drawn = measured[np.isfinite(measured)], drawn[np.isfinite(drawn)]
     if not len(measured):
         return (0.0, 1.0)
@@ -148,7 +148,7 @@ def _limits(measured: Float[np.ndarray, " T"], drawn: Float[np.ndarray, " k"]) -
 
 @matplotlib.rc_context(STYLE)
 def commands(experiment: Values) -> bytes:
-    """The commands of an experiment over time [s]: a row per channel that moves, all to their own scale."""
+    """The commands of an experiment over time [s]: a row per channel that moves, each with its own scale."""
     time = _numbers(experiment["time_s"])
     moving = moving_channels(experiment)
     figure = Figure(figsize=(_WIDTH, 0.85 * len(moving) + 0.45), layout="constrained")
@@ -167,7 +167,7 @@ def commands(experiment: Values) -> bytes:
 
 
 def moving_channels(experiment: Values) -> list[str]:
-    """Channels of an experiment that are commanded at all."""
+    """Channels with commands other than zero."""
     return [name for name, values in experiment["channels"].items() if np.any(_numbers(values) != 0)]
 
 

@@ -25,9 +25,9 @@ def summary(effect: Values) -> dict[str, Any]:
 
 
 def what(statement: Values, figures: Figures) -> dict[str, Any]:
-    """A card per effect, most important first; closest matches, what is left over, and laws without a name."""
-    effects, left = statement.get("effects") or [], statement.get("whiteness") or {}
-    shares = [{"name": o["name"], "share": numbers.percent(o["share"])} for o in left.get("outputs") or []]
+    """A card per effect, most important first; closest matches, predictable residuals, and the nonparametric law."""
+    effects, residuals = statement.get("effects") or [], statement.get("whiteness") or {}
+    shares = [{"name": o["name"], "share": numbers.percent(o["share"])} for o in residuals.get("outputs") or []]
     return {
         "cards": [_card(e, figures) for e in wording.by_importance(effects)],
         "none": "" if effects else wording.NO_EFFECTS.get(str(statement["verdict"]), "No effect was found."),
@@ -36,7 +36,7 @@ def what(statement: Values, figures: Figures) -> dict[str, Any]:
             {"says": e.get("statement", ""), "gain": numbers.fixed(e.get("gain_nats"), 1)}
             for e in wording.by_importance(statement.get("closest_matches") or [])
         ],
-        "left": {"shares": shares, "nats": numbers.fixed(left.get("nats"), 0)} if shares else None,
+        "left": {"shares": shares, "nats": numbers.fixed(residuals.get("nats"), 0)} if shares else None,
         "nonparametric": [
             dict(t) | {"gain": numbers.fixed(t["gain_nats"], 1)} for t in statement.get("nonparametric") or []
         ],
@@ -44,7 +44,7 @@ def what(statement: Values, figures: Figures) -> dict[str, Any]:
 
 
 def alternatives(statement: Values, figures: Figures) -> dict[str, Any]:
-    """Other sets of effects with their probability, and the experiment with the picture of its commands."""
+    """Other sets of effects with their probabilities, and the experiment with the figure of its commands."""
     others = sorted(statement.get("alternatives") or [], key=lambda a: -a["probability"])
     experiment = statement.get("experiment")
     return {
@@ -102,12 +102,12 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
 
 
 def _shows(law: Values, effect: Values) -> bool:
-    """Whether a picture is of this effect; there may be others of its id, elsewhere."""
+    """Whether a figure is of this effect; other effects may have the same id at another site."""
     return law["effect"] == effect["id"] and all(law.get(key) == effect.get(key) for key in ("form", "where"))
 
 
 def acts(effect: Values) -> str:
-    """Where and when an effect acts; empty where it always does."""
+    """Where and when an effect acts; empty if it always acts."""
     match effect.get("support"):
         case {"kind": "regime", "regime": regime}:
             return f"where {regime}"

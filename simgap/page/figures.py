@@ -1,4 +1,4 @@
-"""Pictures and tables of numbers that a page may show, made elsewhere."""
+"""The figures and tables of numbers that a page may show."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 
 class Figures(NamedTuple):
-    """Pictures are SVG documents (`svg`, bytes); one that is absent is left out.
+    """Figures are SVG documents (`svg`, bytes); the page leaves out those that are absent.
 
     heat: outputs [o], regimes [r], values [o][r] and the top of their colour scale [nats a row].
     strips: svg of all sessions over time, top of its colour scale [nats a row].
-    laws: effect, form and where (of which effect), title, caption, svg; any number of an effect.
-    rollouts: session, models (those drawn), svg; one of a session.
+    laws: effect, form and where (which effect it is of), title, caption, svg; any number per effect.
+    rollouts: session, models (those drawn), svg; one per session.
     commands: svg of the experiment, still (names of the channels at zero).
     """
 
@@ -23,5 +23,5 @@ class Figures(NamedTuple):
 
 
 def source(svg: bytes) -> str:
-    """A picture as the address of an `img`, so that the page needs no other file."""
+    """A figure as the address of an `img`, so that the page needs no other file."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"

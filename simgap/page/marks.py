@@ -12,7 +12,7 @@ EXCESS = ("#f7f5f1", "#fbd9a5", "#ef8a43", "#bf3021", "#64101a")
 FONTS = "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, Arial, Liberation Sans, sans-serif"
 
 _DARK = 0.179  # luminance at which black and white text have the same contrast (WCAG 2)
-_LOG_RATIO = 30.0  # of scores beyond which their scale is logarithmic
+_LOG_RATIO = 30.0  # ratio of scores beyond which their scale is logarithmic
 _WHISKERS, _STEP = 210, 9
 _RANGE = 100
 
@@ -20,7 +20,7 @@ Ends = tuple[float, float]
 
 
 def shade(share: float) -> str:
-    """Colour `#rrggbb` of an excess error, as a share of the top of its scale (cut to 0 and 1)."""
+    """Colour `#rrggbb` of an excess error, given as a share of the top of its scale (clipped to 0 and 1)."""
     at = min(max(share, 0.0), 1.0) * (len(EXCESS) - 1)
     k = min(int(at), len(EXCESS) - 2)
     pairs = zip(*(bytes.fromhex(colour[1:]) for colour in EXCESS[k : k + 2]), strict=True)
@@ -68,7 +68,7 @@ def _both(place: Callable[[float], float], ends: Ends) -> Ends:
 
 
 def _scale(low: float, high: float, width: float, logarithmic: bool = False) -> Callable[[float], float]:
-    """A function from values in [low, high] to pixels (a tenth), with room for the marks at both ends."""
+    """A function from values in [low, high] to pixels (rounded to tenths), with room for the marks at both ends."""
     if logarithmic:
         linear = _scale(math.log(low), math.log(high), width)
         return lambda value: linear(math.log(value))

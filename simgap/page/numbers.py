@@ -1,4 +1,4 @@
-"""Numbers as a reader sees them. What is unknown (None, not finite) is an en dash."""
+"""Numbers as text. Unknown numbers (None, not finite) are an en dash."""
 
 import math
 import re
@@ -20,7 +20,7 @@ def interval(ends: Any) -> tuple[float, float] | None:
 
 
 def percent(share: Any) -> str:
-    """A share of one in whole percent; what rounds to none or to all of it is said to be under 1 or over 99 %."""
+    """A share of one in whole percent; `under 1 %` or `over 99 %` instead of a share rounded to 0 or 100 %."""
     if not known(share):
         return DASH
     if 0 < share < 0.01:
@@ -36,7 +36,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def fixed(value: Any, decimals: int) -> str:
-    """A number to some decimals; none from a thousand on."""
+    """A number to some decimals; without decimals from a thousand on."""
     if not known(value):
         return DASH
     return _proper(f"{value:.1e}" if abs(value) >= 1e6 else f"{value:,.{decimals if abs(value) < 1000 else 0}f}")
@@ -56,7 +56,7 @@ def decimals(ends: Any) -> int | None:
 
 
 def with_interval(value: Any, ends: Any, places: int | None = None) -> tuple[str, str]:
-    """A value to `places` decimals (else what its interval warrants), and the interval, empty where unknown."""
+    """A value to `places` decimals (default: as its interval warrants), and the interval, empty if unknown."""
     places = decimals(ends) if places is None else places
     if places is None:
         return number(value), ""
@@ -65,7 +65,7 @@ def with_interval(value: Any, ends: Any, places: int | None = None) -> tuple[str
 
 
 def width(share: Any) -> str:
-    """Length of a bar [% of its room] for a share of one, which is cut to 0 and 1."""
+    """Length of a bar [% of its maximum] for a share of one, clipped to 0 and 1."""
     return f"{100 * min(max(share, 0.0), 1.0) if known(share) else 0.0:.2f}"
 
 
@@ -85,5 +85,5 @@ def count(n: int, noun: str) -> str:
 
 
 def _proper(text: str) -> str:
-    """With a minus sign for a hyphen, and none before a number that is rounded to zero."""
+    """With a minus sign for a hyphen, and no sign before a number that is rounded to zero."""
     return text.lstrip("-") if not re.search("[1-9]", text) else text.replace("-", MINUS)

@@ -14,7 +14,7 @@ _ONE_TABLE = 6  # parameters; more are shown in two tables
 
 
 def scores(statement: Values, figures: Figures) -> dict[str, Any]:
-    """The share explained, a table of scores (a row per score, a column per model), and forecasts as pictures."""
+    """The share explained, a table of scores (a row per score, a column per model), and figures of forecasts."""
     fit = statement.get("fit") or {}
     models, share = fit.get("models") or {}, fit.get("explained_share")
     sessions, ends = len(fit.get("heldout_sessions") or []), numbers.interval(fit.get("explained_share_ci95"))
@@ -26,7 +26,7 @@ def scores(statement: Values, figures: Figures) -> dict[str, Any]:
             "percent": numbers.percent(share), "width": numbers.width(share),
             "interval": f"{numbers.percent(ends[0])} to {numbers.percent(ends[1])}" if ends else "",
         } if statement.get("effects") and numbers.known(share) else None,
-        "over": f"On {numbers.count(sessions, 'session')} that took no part in fitting" if sessions else "Held out",
+        "over": f"On {numbers.count(sessions, 'session')} not used for fitting" if sessions else "Held out",
         "any": bool(keys),
         "models": [_model(m) for m in named],
         "rows": [row for row in rows if row],
@@ -37,7 +37,7 @@ def scores(statement: Values, figures: Figures) -> dict[str, Any]:
 
 
 def _replay(replay: Values) -> dict[str, Any] | None:
-    """Errors in open loop, a row per position in thousandths of its unit; None without any."""
+    """Open-loop errors, a row per position in thousandths of its unit; None without any."""
     positions = replay.get("positions") or []
     named = [m for m in marks.MODELS if any(m in p["errors"] for p in positions)]
     if not named:

@@ -1,4 +1,4 @@
-"""The look of the pages' pictures, and figures as SVG."""
+"""The style of the pages' figures, and figures as SVG."""
 
 import io
 from typing import Any
@@ -38,5 +38,5 @@ def svg(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(buffer, format="svg", dpi=200, transparent=True, metadata=metadata)
-    # Letters stay letters, in the page's own fonts; DejaVu, which comes with matplotlib, only measures them.
+    # Text stays text, in the page's fonts. DejaVu, which comes with matplotlib, only serves to measure it.
     return buffer.getvalue().replace(b"'DejaVu Sans'", FONTS.encode())

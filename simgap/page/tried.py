@@ -1,4 +1,4 @@
-"""View of the rounds of the search, and of what they could not have found."""
+"""View of the rounds of the search, and of the sizes that would have been found."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,9 +23,9 @@ def tried(statement: Values) -> dict[str, Any]:
 
 
 def retested(before: Sequence[Values], tried: Values) -> str:
-    """The accepted effect that a round only compares with its rivals, given the other effects; empty for a search.
+    """The accepted effect that a round only compares with its alternatives, given the others; empty for a search.
 
-    A search leaves out what is accepted already, so a round that tries it again is no search.
+    A search leaves out accepted effects, so a round that tries one again is not a search.
     """
     again = [_full(c) for c in tried.get("hypotheses") or []]
     accepted = [r["accepted"] for r in before if r.get("accepted")]
@@ -58,7 +58,7 @@ def _limits(tried: Values, chance: bool) -> str:
 
 
 def _best_of_each(tried: Values) -> list[Values]:
-    """Every hypothesis where it gains most, by gain: some are tried from several starts."""
+    """Every hypothesis once, with its largest gain, sorted by gain: some are tried from several starts."""
     best: dict[str, Values] = {}
     for hypothesis in sorted(tried.get("hypotheses") or [], key=lambda c: -(c["gain_nats"] or 0)):
         best.setdefault(_full(hypothesis), hypothesis)
@@ -83,7 +83,7 @@ def _gain(hypothesis: Values) -> str:
 
 
 def _sizes(seen: Values) -> list[dict[str, Any]]:
-    """For every effect the smallest size that would have been found, site by site, and the sites where none would."""
+    """For every effect, the smallest size that would have been found per site, and the sites where none would."""
     effects: dict[str, dict[str, Any]] = {}
     for visible in seen.get("effects") or []:
         row = effects.setdefault(visible["effect"], {"name": title(visible["effect"]), "sizes": [], "hidden": []})

@@ -1,4 +1,4 @@
-"""A diagnosis' statement as the page shows it: text and numbers in their final form, in the order of the page."""
+"""The statement as the page shows it: text and numbers in their final form, in the order of the page."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -48,7 +48,7 @@ def _summary(statement: Values) -> dict[str, Any]:
 
 
 def _errors(models: Values) -> dict[str, Any] | None:
-    """Held-out errors at the longest horizon, model by model; bars are shares of the greatest."""
+    """Held-out errors at the longest horizon, by model; bars are relative to the largest."""
     score = wording.longest(models)
     errors = {m: models[m][score]["value"] for m in marks.MODELS if score in (models.get(m) or {})}
     finite = [e for e in errors.values() if numbers.known(e)]
@@ -69,7 +69,7 @@ def _errors(models: Values) -> dict[str, Any] | None:
 
 
 def _facts(recordings: Values) -> list[str]:
-    """What was recorded."""
+    """Facts about the recordings."""
     facts = []
     if recordings.get("transitions") is not None:
         facts.append(f"{recordings['transitions']:,} transitions")

@@ -11,12 +11,12 @@ from simgap.page.marks import ink, shade
 Values = Mapping[str, Any]
 
 _INTERVALS = 8  # listed at most
-_INPUTS = 3  # on which the mismatch depends, listed at most
+_INPUTS = 3  # that the mismatch depends on, listed at most
 _UPRIGHT = 9  # regimes from which on their labels stand upright
 
 
 def where(statement: Values, figures: Figures) -> dict[str, Any]:
-    """Outputs, regimes and times by excess error, greatest first; `figures` has the heat table and the strips."""
+    """Outputs, regimes and times by excess error, largest first; `figures` has the heat table and the strips."""
     located = statement.get("located") or {}
     outputs = sorted(located.get("outputs") or [], key=lambda o: -o["excess"])
     regimes = sorted(located.get("regimes") or [], key=lambda r: -r["share"])

@@ -1,4 +1,4 @@
-"""Sentences of the page that depend on the statement; fixed ones stand in the template."""
+"""Sentences of the page that depend on the statement; fixed ones are in the templates."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from simgap.page.numbers import DASH, fixed, interval, known, number, percent
 Values = Mapping[str, Any]
 
 HEADLINE_WORDS = 25
-"""Most words of the headline."""
+"""Maximum number of words in the headline."""
 VERDICTS = {
     "missing_physics": "Physics is missing",
     "parameters_only": "Only parameters were wrong",
@@ -31,12 +31,12 @@ NO_EFFECTS = {
     "parameters_only": "No physics is missing: other parameters of the simulator explain the difference (section 5).",
     "nothing": "No physics is missing: the simulator and the recordings differ by noise only.",
     "unexplained": "Something is missing that none of the known effects explains; section 1 says where it shows.",
-    "inconclusive": "Whether an effect is missing cannot be said:",
+    "inconclusive": "The recordings do not show whether an effect is missing:",
 }
 
 
 def either(effect: Values) -> str:
-    """An effect and what could stand in its place."""
+    """An effect and its alternatives: the names in its credible set."""
     return " or ".join(title(m) for m in effect.get("credible_set") or [effect["id"]])
 
 
@@ -78,7 +78,7 @@ def more_is_missing(statement: Values) -> bool:
 
 
 def certainty(statement: Values) -> list[str]:
-    """How sure the diagnosis is, most important first."""
+    """How certain the diagnosis is, most important first."""
     verdict, effects = statement["verdict"], statement.get("effects") or []
     undecided = [e for e in by_importance(effects) if len(e.get("credible_set") or []) > 1]
     lines = [f"{either(e)}: these recordings cannot decide which." for e in undecided]
@@ -94,7 +94,7 @@ def certainty(statement: Values) -> list[str]:
 
 
 def _against_chance(statement: Values) -> list[str]:
-    """How often noise alone would gain as much as the effects named, or as the best effect tried where none is."""
+    """Probability that noise alone gains as much as the named effects or, without any, as the best effect tried."""
     rounds = statement.get("rounds") or []
     if statement.get("effects"):
         chances = [r["p_value"] for r in rounds if r.get("accepted") and known(r.get("p_value"))]
@@ -170,7 +170,7 @@ def _look(located: Values) -> str:
 def no_experiment(statement: Values) -> str:
     """Why there is no experiment."""
     silent = NO_COMMANDS in (statement.get("notes") or [])
-    return f"no {'experiment can be proposed' if silent else 'further experiment is called for'}."
+    return f"no {'experiment can be proposed' if silent else 'further experiment is needed'}."
 
 
 def metric(key: str) -> tuple[str, str]:

@@ -201,7 +201,7 @@ def test_damaged_tables_are_named_with_column_and_row(folder: Path) -> None:
     with pytest.raises(RecordingError, match="session monday: column velocity, row 5 is nan"):
         simgap.diagnose(DRIVE, {"monday": table})
     ragged = {c: list(table[c]) for c in table} | {"velocity": [0.0]}
-    with pytest.raises(RecordingError, match="every column must be one row of numbers, all as long"):
+    with pytest.raises(RecordingError, match="every column must be one series of numbers, all of the same length"):
         simgap.diagnose(DRIVE, ragged)
     with pytest.raises(RecordingError, match=r"session drive_01: state and command must have 2 and 1 columns"):
         simgap.diagnose(DRIVE, first._replace(state=first.state[:, :1]))

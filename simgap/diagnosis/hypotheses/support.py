@@ -7,15 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from simgap.diagnosis.config import SHORTEST_PUSH
 from simgap.diagnosis.hypotheses.features import inside
 from simgap.diagnosis.likelihood.segments import Chunks, Rows
 from simgap.effects.regime import Regime, words
 from simgap.layout import Layout
-
-PUSH = 8
-"""Rows of the shortest disturbance."""
-LASTING = 50
-"""Rows of the shortest window to which a law of motion may be restricted."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +55,8 @@ def mask(layout: Layout, support: Support, chunks: Chunks) -> Bool[np.ndarray, "
             return np.full(time_s.shape, True)
         case From(from_s):
             return time_s >= from_s
-        case Window(of, from_s, to_s):
-            return (session == of) & (time_s >= from_s) & (time_s < to_s)
+        case Window():
+            return within(Rows(session, time_s), support)
         case Since(first):
             return np.broadcast_to(session >= first, time_s.shape)
         case regime:
@@ -79,33 +75,35 @@ def for_heldout(layout: Layout, unseen: Chunks, supports: Sequence[Support]) -> 
 
 
 def in_words(layout: Layout, support: Support) -> str:
-    """Short description: `where reach > 0.9 m`, `from 3.2 s on`."""
+    """Short description: `where reach > 0.9 m`, `from 3.2 s on`, `from 3.2 to 5.0 s of one session`."""
     match support:
         case Regime():
             return f"where {words(layout, support)}"
-        case From(from_s) | Window(_, from_s, _):
+        case From(from_s):
             return f"from {from_s:.1f} s on"
+        case Window(_, from_s, to_s):
+            return f"from {from_s:.1f} to {to_s:.1f} s of one session"
         case Since():
             return "since the baseline"
         case Always():
             return "throughout"
 
 
-def within(rows: Rows, window: Window, margin_s: float = 0.0) -> Bool[np.ndarray, " n"]:
+def within(rows: Rows, window: Window, margin_s: float = 0.0) -> Bool[np.ndarray, "..."]:
     """Which rows are in a window, extended within its session by a margin [s] on either side."""
     time_s = rows.time_s
     return (rows.session == window.session) & (time_s >= window.from_s - margin_s) & (time_s < window.to_s + margin_s)
 
 
 def elsewhere(rows: Rows, window: Window, score: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Scores outside a window; zero in it and in `PUSH` rows on either side, where the disturbance still acts."""
-    return np.where(within(rows, window, PUSH * float(np.median(np.diff(rows.time_s)))), 0.0, score)
+    """Scores outside a window; zero in it and in `SHORTEST_PUSH` rows at either side, where it still acts."""
+    return np.where(within(rows, window, SHORTEST_PUSH * float(np.median(np.diff(rows.time_s)))), 0.0, score)
 
 
 def at_start(rows: Rows, window: Window) -> bool:
-    """Whether a window begins in the first `PUSH` rows of its session."""
+    """Whether a window begins in the first `SHORTEST_PUSH` rows of its session."""
     time_s = np.sort(rows.time_s[rows.session == window.session])
-    return window.from_s <= time_s[min(PUSH, len(time_s)) - 1]
+    return window.from_s <= time_s[min(SHORTEST_PUSH, len(time_s)) - 1]
 
 
 def to_its_end(rows: Rows, window: Window) -> bool:

@@ -10,6 +10,7 @@ from simgap.diagnosis.config import LEAST_SHARE, RIVAL
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import (
+    SETTLED,
     Found,
     HeldOutCheck,
     Model,
@@ -94,7 +95,7 @@ def _better(
     reduced: Model, rivals: Sequence[Trial], own: Trial, holds_out: HeldOutCheck, required: float
 ) -> Trial | None:
     """The best rival of another id that gains over 1 nat more than `own` and holds on held-out sessions."""
-    ahead = (t for t in rivals if t.gain > own.gain + 1 and t.hypothesis.effect.id != own.hypothesis.effect.id)
+    ahead = (t for t in rivals if t.gain > own.gain + SETTLED and t.hypothesis.effect.id != own.hypothesis.effect.id)
     return next((t for t in ahead if holds_out(reduced.problem, t, required)), None)
 
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED
+from simgap.diagnosis.config import CLEARLY, EXCEPTION, LEAST_SHARE, LEVEL, REQUIRED, SHORTEST_PUSH
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind, within_session
-from simgap.diagnosis.hypotheses.support import ALWAYS, PUSH, Window, at_start, elsewhere, to_its_end, within
+from simgap.diagnosis.hypotheses.support import ALWAYS, Window, at_start, elsewhere, to_its_end, within
 from simgap.diagnosis.inference.alternatives import Member, member
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import Model, Reporter, Trial
@@ -18,11 +18,6 @@ from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.inference.select import one_more
 from simgap.diagnosis.likelihood.problem import evaluate, trials
 from simgap.diagnosis.likelihood.segments import Rows, rows_of
-
-CLEARLY = 1.1
-"""Factor on the gain of a push: another law in the same window must gain more than that, plus `REQUIRED`."""
-EXCEPTION = 3.0
-"""Factor on the gain of the best other window: a push must gain at least that."""
 
 
 class _Push(NamedTuple):
@@ -58,7 +53,7 @@ def pushed(
     if best.gain < threshold + LEAST_SHARE * sum(m.gain for m in members):
         return model, members
     # A push is an exception: a cause that recurs in other windows is no push.
-    next_gain = max(stretch(rows, elsewhere(rows, best.window, p.score), p.power, PUSH)[1] for p in candidates)
+    next_gain = max(stretch(rows, elsewhere(rows, best.window, p.score), p.power, SHORTEST_PUSH)[1] for p in candidates)
     if best.gain < EXCEPTION * next_gain:
         return model, members
     window = best.window
@@ -85,11 +80,11 @@ def _push(model: Model, rows: Rows, event: Hypothesis, start: tuple[float, ...])
     """The window that a push hypothesis explains best from a start."""
     problem, fit, _ = model
     score, power = scores(fit, fit.e, trials(problem, [vary(fit.v, event, start)])[0])
-    window, gain = stretch(rows, score, power, PUSH)
+    window, gain = stretch(rows, score, power, SHORTEST_PUSH)
     while gain > 0 and at_start(rows, window):
         # Memory of the time before a session looks like a push and is not recorded: skip windows at its start.
         score = elsewhere(rows, window, score)
-        window, gain = stretch(rows, score, power, PUSH)
+        window, gain = stretch(rows, score, power, SHORTEST_PUSH)
     inside = within(rows, window)
     amplitude = score[inside].sum() / max(power[inside].sum(), 1e-9)
     constants = [c if k.shapes else amplitude * c for k, c in zip(event.effect.constants, start, strict=True)]

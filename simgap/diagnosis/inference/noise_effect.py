@@ -9,8 +9,6 @@ from jaxtyping import Float
 from simgap.diagnosis.likelihood.student_t import Noise
 from simgap.types import Field
 
-REQUIRED = 10.0
-"""Minimum gain [nats]; hypotheses on the noise have two or three constants each."""
 OTHER = "other_noise"
 """Stands in place of an effect's id: unnamed noise, which includes outliers and misfit of the laws of the mean."""
 

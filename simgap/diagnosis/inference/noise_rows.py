@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from simgap.diagnosis.config import REQUIRED_OF_NOISE, SET_ASIDE, SURE_OF_NOISE
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, NoiseEffect
+from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect
 from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, robot_of, sample_of
 from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
@@ -20,10 +21,6 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.likelihood.student_t import Noise, log_density
 
-SURE = 3.5
-"""Standard deviations, over blocks of rows, by which the gain of an effect on all rows must exceed zero."""
-ODDEST = 3
-"""Best blocks of rows that do not count for an effect on few rows: it must occur repeatedly."""
 RARE, COMMON = 0.02, 0.3
 """Initial share of a component, for effects on few rows and on many."""
 SPREAD = 0.3
@@ -93,10 +90,10 @@ def _significant(f: Fitted, plain: Fitted, independent: Float[np.ndarray, " n"],
     """
     gain = f.density - plain.density
     if f.rare:
-        repeated = np.sort(np.add.reduceat(f.density - independent, starts))[:-ODDEST].sum()
-        return bool(gain.sum() > REQUIRED and repeated > REQUIRED)
+        repeated = np.sort(np.add.reduceat(f.density - independent, starts))[:-SET_ASIDE].sum()
+        return bool(gain.sum() > REQUIRED_OF_NOISE and repeated > REQUIRED_OF_NOISE)
     per_block = np.add.reduceat(gain, starts)
-    return bool(gain.sum() > REQUIRED and gain.sum() > SURE * np.sqrt((per_block**2).sum()))
+    return bool(gain.sum() > REQUIRED_OF_NOISE and gain.sum() > SURE_OF_NOISE * np.sqrt((per_block**2).sum()))
 
 
 def _fit(

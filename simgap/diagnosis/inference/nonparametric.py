@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.config import LEVEL
+from simgap.diagnosis.config import LEVEL, MOST_TERMS
 from simgap.diagnosis.hypotheses.library import Function, dictionary, quantities, values
 from simgap.diagnosis.inference.heldout import agrees, by_row
 from simgap.diagnosis.inference.impulse_response import Echo, direction, echoes, evidence, hear
@@ -23,7 +23,6 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, side_by_
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.likelihood.student_t import log_density, weights
 
-MOST_TERMS = 4
 AT_ONCE = 64
 """Functions that are tested per batch."""
 REQUIRED = -np.log(LEVEL)

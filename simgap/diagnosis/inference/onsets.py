@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES
+from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES, SHORTEST_WINDOW
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind
-from simgap.diagnosis.hypotheses.support import ALWAYS, LASTING, Support, Window, for_heldout, in_words, opened
+from simgap.diagnosis.hypotheses.support import ALWAYS, Support, Window, for_heldout, in_words, opened
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.gauss_newton import hold, refine
 from simgap.diagnosis.inference.heldout import gain
@@ -90,7 +90,7 @@ def _restrictions(model: Model, hypothesis: Hypothesis, loglik: float) -> list[_
     rows, values = rows_of(problem.chunks), _features_of_others(problem, hypothesis)
     score, power = scores(fit, evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise).e, fit.e)
     from_on, a = onset(rows, score, power)
-    during, b = stretch(rows, score, power, LASTING)
+    during, b = stretch(rows, score, power, SHORTEST_WINDOW)
     regime, c = narrowest(values, score, power, LEAST_SHARE)
     throughout, ahead = float(gain_of(score.sum(), power.sum())), fit.loglik - loglik
     supports = ((from_on, a), (during, b - throughout), (regime, c))

@@ -5,6 +5,7 @@ A simulator whose step is a JAX function and whose states are all measured needs
 
 import numpy as np
 
+from simgap.diagnosis.config import CONFIRMED
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, settled
@@ -16,8 +17,6 @@ from simgap.engines import Engine, is_engine
 from simgap.layout import Layout
 from simgap.types import Sessions, StepModel
 
-CONFIRMED = 0.5
-"""Share of an effect's gain with an engine's tables that it must also have with the engine itself."""
 PASSES = 3
 """Searches at most, each with tables made at the fit of the one before."""
 

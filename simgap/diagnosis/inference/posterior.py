@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from simgap.diagnosis.config import LEAST_SHARE
+from simgap.diagnosis.config import AT_BOUND, LEAST_SHARE, Z95
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.hypotheses.support import Window
 from simgap.diagnosis.inference.model import without
@@ -18,10 +18,6 @@ from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, t
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import weights
 from simgap.effects.effect import Constant
-
-Z95 = 1.96
-EDGE = 1e-3
-"""Share of a parameter's range: a value nearer than this to an end counts as at that end."""
 
 
 class Spread(NamedTuple):
@@ -66,7 +62,7 @@ def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
     sentences = {}
     for p, value in zip(problem.augmented.simulator.parameters, map(float, fit.v.phi), strict=True):
         for end, beyond in ((p.low, "smaller"), (p.high, "larger")):
-            if abs(value - end) <= EDGE * (p.high - p.low) and p.low < p.high:
+            if abs(value - end) <= AT_BOUND * (p.high - p.low) and p.low < p.high:
                 sentences[p.name] = (
                     f"{p.name} is at the edge of its range ({end:g}{p.unit and f' {p.unit}'}): widen the range if "
                     f"{beyond} values are plausible."
@@ -92,7 +88,7 @@ def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:
     entry = group.entries[0]
     value = value_of(fit.v, group) + (float(fit.v.theta[entry]) if group.support else 0.0)
     ends = np.array([bound[entry] for bound in problem.augmented.bounds])
-    return bool(np.any(np.isfinite(ends) & (ends != 0) & (np.abs(value - ends) <= EDGE * np.abs(ends))))
+    return bool(np.any(np.isfinite(ends) & (ends != 0) & (np.abs(value - ends) <= AT_BOUND * np.abs(ends))))
 
 
 def constants(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, gain: float) -> list[dict]:

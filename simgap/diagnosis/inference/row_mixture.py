@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import isotonic_regression
 
+from simgap.diagnosis.config import Z95
 from simgap.diagnosis.inference.row_mixture_em import (
     RENEWED,
     WIDE,
@@ -31,7 +32,6 @@ CONVERGED = 0.05
 """Fitting stops when a step gains less than this [nats]."""
 REFITTED = 20
 """Steps in which shares are refitted without a block."""
-Z95 = 1.96
 
 
 def of_plain(noise: Noise, groups: tuple[Int[np.ndarray, " g"], ...]) -> Mixture:

@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.hypotheses.support import PUSH, From, Window, elsewhere
+from simgap.diagnosis.config import BLOCK, LEAST_ROWS_OF_REGIME, NO_ONSET, SHORTEST_PUSH, SILENT
+from simgap.diagnosis.hypotheses.support import From, Window, elsewhere
 from simgap.diagnosis.likelihood.problem import Fit
 from simgap.diagnosis.likelihood.segments import Rows
 from simgap.diagnosis.likelihood.student_t import weights
@@ -11,13 +12,9 @@ from simgap.effects.regime import EVERYWHERE, Regime
 
 LENGTHS = (8, 12, 20, 32, 50, 80, 125, 200, 320, 500, 800)
 """Lengths [rows] of the windows that are tried; edges are refined afterwards."""
-EDGE = 0.025
-"""Share of the longest session, or of the given one, at either end in which no onset is reported."""
 FLIP = 4
 """Rows that share a sign in the bootstrap of windows."""
 DRAWS = 100
-CORRELATED = 20
-"""Rows whose scores may be dependent."""
 NO_INFORMATION = 1e-9
 """Information [nats] below this counts as zero."""
 
@@ -44,7 +41,7 @@ def onset(rows: Rows, score: np.ndarray, power: np.ndarray, session: int | None 
     extra = gain_of(s, p) - throughout
     # Rows with equal times belong together.
     possible = np.append(times[1:] < times[:-1], session is not None)
-    inside = (times > EDGE * times[0]) & (times < (1 - EDGE) * times[0])
+    inside = (times > NO_ONSET * times[0]) & (times < (1 - NO_ONSET) * times[0])
     possible[:-1] &= inside[:-1]
     extra = np.where(possible, extra, 0.0)
     best = int(extra.argmax())
@@ -77,12 +74,12 @@ def stretch_by_chance(
     The larger of two: the extrapolated gain with random signs, and that of independent windows, ln(number / level).
     Random signs leave out the best window itself: if something happened there, it is not chance.
     """
-    window, _ = stretch(rows, score, power, PUSH)
+    window, _ = stretch(rows, score, power, SHORTEST_PUSH)
     score = elsewhere(rows, window, score)
     best = []
     for _ in range(DRAWS):
         sign = np.repeat(rng.choice([-1.0, 1.0], len(score) // FLIP + 1), FLIP)[: len(score)]
-        best.append(max(_best_window(score[m] * sign[m], power[m], PUSH)[0] for m in _sessions(rows)))
+        best.append(max(_best_window(score[m] * sign[m], power[m], SHORTEST_PUSH)[0] for m in _sessions(rows)))
     # The best of many gains with exponential tails follows a Gumbel distribution, here fitted by its moments.
     scale = np.std(best) * np.sqrt(6) / np.pi
     drawn = np.mean(best) - 0.5772 * scale - scale * np.log(-np.log(1 - level))
@@ -104,7 +101,7 @@ def edges_ci95(
     start, stop = (int(np.searchsorted(time, t - step / 2)) for t in (window.from_s, window.to_s))
     acts = (np.arange(len(time)) >= start) & (np.arange(len(time)) < stop)
     amplitude = score[acts].sum() / max(power[acts].sum(), 1e-9)
-    about = np.add.reduceat(score - np.where(acts, amplitude * power, 0.0), np.arange(0, len(time), CORRELATED))
+    about = np.add.reduceat(score - np.where(acts, amplitude * power, 0.0), np.arange(0, len(time), BLOCK))
     tolerance = -np.log(1 - np.sqrt(0.95)) * max(1.0, float((about**2).sum() / max(power.sum(), 1e-9)))
     s, p = np.concatenate([[0], np.cumsum(score)]), np.concatenate([[0], np.cumsum(power)])
     starts, stops = np.arange(stop), np.arange(start + 1, len(time) + 1)
@@ -150,12 +147,6 @@ def _edges(score: np.ndarray, power: np.ndarray, start: int, stop: int, shortest
     return start, stop
 
 
-FEWEST = 0.04
-"""Minimum share of the rows inside a regime, and outside it."""
-SILENT = 4.0
-"""Maximum gain [nats] of an effect of another size outside a regime, apart from `share` of the gain inside."""
-
-
 def narrowest(
     found: Float[np.ndarray, "n f"], score: Float[np.ndarray, " n"], power: Float[np.ndarray, " n"], share: float
 ) -> tuple[Regime, float]:
@@ -169,7 +160,7 @@ def narrowest(
     for k, column in enumerate(found.T):
         order = np.argsort(column, kind="stable")
         s, p = (np.cumsum(a[order]) for a in (score, power))
-        ordered, fewest = column[order], int(np.ceil(FEWEST * len(column)))
+        ordered, fewest = column[order], int(np.ceil(LEAST_ROWS_OF_REGIME * len(column)))
         # Rows after which an edge may lie; rows with equal values belong together.
         last = np.flatnonzero(ordered[:-1] < ordered[1:])
         last = last[(last + 1 >= fewest) & (last + 1 <= len(column) - fewest)]

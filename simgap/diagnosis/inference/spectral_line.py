@@ -7,20 +7,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit
 
+from simgap.diagnosis.config import LINE_LEVEL, REQUIRED_OF_NOISE, STRONGER
 from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.noise_effect import OTHER, REQUIRED, NoiseEffect, Spectrum
+from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect, Spectrum
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
 
 SEGMENT = 64
 """Rows per segment of the periodograms."""
-LEVEL = 1e-3
-"""Maximum p-value of a peak, over all frequencies and outputs."""
 POWER = float((np.hanning(SEGMENT) ** 2).sum())
 """Power of the Hann window."""
 NO_POWER = 1e-18
-STRONGER = 1.5
-"""Factor on the largest amplitude in a baseline that an oscillation must exceed to be new."""
 
 
 class _Pieces(NamedTuple):
@@ -54,10 +51,10 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
     heldout_gain = float(_line_gain(*_power_at(heldout, k, best), above).sum())
     _, level = _power_at(pieces, k, best)
     odds = _odds(pieces, k, best, above)
-    if heldout_gain <= 0 or odds is None:
+    line = line_of(pieces.e[:, :, best], k, level)
+    if heldout_gain <= 0 or odds is None or not line.amplitude[0] > 0:
         return None
     field, hertz = problem.augmented.simulator.schema.outputs[best], 1 / (SEGMENT * problem.scales.time_step)
-    line = line_of(pieces.e[:, :, best], k, level)
     factor = 1 / _share_in_innovations(problem, fit, best, line.amplitude[0], hertz * line.frequency[0])
     unit = field.unit
     if field.kind != "velocity":
@@ -114,7 +111,7 @@ def _odds(pieces: _Pieces, k: int, output: int, above: float) -> dict[str, float
     power, level = _power_at(pieces, k, output)
     density = {"gait_oscillation": _line_gain(power, level, above), OTHER: np.zeros(len(power))}
     constants = {"gait_oscillation": 2, OTHER: 0}
-    if np.sort(density["gait_oscillation"])[:-1].sum() < REQUIRED:
+    if np.sort(density["gait_oscillation"])[:-1].sum() < REQUIRED_OF_NOISE:
         return None
     x = np.fft.rfft(pieces.e[:, :, output], axis=1)[:, k]
     for u in np.fft.rfft(pieces.command, axis=1)[:, k].T:
@@ -210,11 +207,11 @@ def _peak(power: Float[np.ndarray, "f v"], segments: int) -> tuple[int, int, flo
         k = 3 + int(ratio[3:-2].argmax())
         # In a flat spectrum the ratio is Gamma distributed; the level is itself an estimate, hence half the segments.
         chance = gammaincc(segments / 2, ratio[k] / 2) * power.size
-        if chance < LEVEL and (best is None or ratio[k] > best[4] * segments):
+        if chance < LINE_LEVEL and (best is None or ratio[k] > best[4] * segments):
             above = float(ratio[k] / segments)
             gain = float(segments * (above - 1 - np.log(above)))
             best = (k, j, gain, _amplitude(power[:, j], segments, k), above)
-    return best if best and best[2] > REQUIRED else None
+    return best if best and best[2] > REQUIRED_OF_NOISE else None
 
 
 def _amplitude(power: Float[np.ndarray, " f"], segments: int, k: int) -> float:

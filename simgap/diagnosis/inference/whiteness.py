@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from simgap.diagnosis.config import PREDICTABLE, REQUIRED_OF_PREDICTION, TOUCHED
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -18,14 +19,8 @@ LAGS = 8
 """Rows of past innovations that predict the next."""
 RIDGE = 5.0
 FOLDS = 4
-LEAST_SHARE = 0.02
-"""Predictable shares of an output's squared innovations below this count as zero."""
-LEAST_NATS = 10.0
-"""Minimum gain [nats] beyond the gain by chance."""
 DRAWS = 20
 """Draws of innovations with random signs, which are unpredictable: they give the gain by chance."""
-TOUCHED = 0.05
-"""An effect improves an output if it gains more than this share of its total gain there."""
 
 
 class Whiteness(NamedTuple):
@@ -48,7 +43,7 @@ def whiteness(problem: Problem, fit: Fit) -> Whiteness:
     chance = max(_gained(drawn, _predicted(drawn, session))[0].max() for drawn in signs * y)
     predicted = _predicted(y, session)
     nats, share = _gained(y, predicted)
-    sure = (share > LEAST_SHARE) & (nats > max(chance, 0.0) + LEAST_NATS)
+    sure = (share > PREDICTABLE) & (nats > max(chance, 0.0) + REQUIRED_OF_PREDICTION)
     return Whiteness(*(np.where(sure, a, 0.0) for a in (nats, share, predicted * fit.noise.scale)))
 
 

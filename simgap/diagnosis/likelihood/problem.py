@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.likelihood.filter import Variables, alone, filtered
 from simgap.diagnosis.likelihood.segments import Chunks, counted
-from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
+from simgap.diagnosis.likelihood.student_t import NORMAL_MAD, Noise, fit_noise, log_density
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 
@@ -103,7 +103,7 @@ def whitening(e: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "s s"]:
     if not np.isfinite(e).all():
         return np.eye(e.shape[1])
     size = np.abs(e.astype(np.float64))
-    scale = np.zeros(e.shape[1]) if not len(e) else np.median(size, axis=0) * 1.4826
+    scale = np.zeros(e.shape[1]) if not len(e) else np.median(size, axis=0) * NORMAL_MAD
     # An output that is mostly constant has a median of zero: use its largest innovation.
     scale = np.where(scale > 0, scale, size.max(0, initial=0.0))
     scale = np.where(scale > 0, scale, 1.0)

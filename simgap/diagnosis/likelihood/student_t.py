@@ -9,6 +9,8 @@ from scipy.special import gammaln
 DOFS = np.array([2.5, 3, 4, 5, 7, 10, 20, 60])
 FROM_AFAR, FROM_NEAR = 6, 3
 """EM steps for the scale at the first of these, and at each further one, which starts from the scale before it."""
+NORMAL_MAD = 1.4826
+"""Standard deviation of a normal distribution, in units of its median absolute deviation."""
 LEAST = 1e-9
 """Least scale, for outputs that a model predicts exactly."""
 FURTHEST = 1e15

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.filter import Variables, filtered
 from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
+from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.layout import Layout
@@ -68,7 +69,7 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
 def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T s"]:
     """States of the segments; the unmeasured ones of the first row are fitted by one weighted least-squares step."""
     _, raw = filtered(problem.augmented, problem.scales, v, chunks)
-    size = 1.4826 * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
+    size = NORMAL_MAD * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
     moved = _steps(problem.augmented, problem.scales, v, chunks, jnp.asarray(1 / np.maximum(size, 1e-12)))
     state = np.array(chunks.state)
     state[:, 0, ~problem.augmented.layout.observed] += np.where(np.isfinite(moved), moved, 0.0)

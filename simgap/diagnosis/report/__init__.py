@@ -1,1 +1,1 @@
-"""The statement, its words, and the numbers behind its figures."""
+"""The statement, its wording, and the numbers behind its figures."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from simgap.diagnosis.config import CREDIBLE, POWER
+from simgap.diagnosis.config import CREDIBLE, POWER, Z95
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.report import wording
@@ -15,7 +15,7 @@ from simgap.types import Sessions
 
 
 def credible_set(odds: Mapping[str, float]) -> list[str]:
-    """The likeliest ids that hold `CREDIBLE` of the probability together."""
+    """The most probable ids whose probabilities sum to `CREDIBLE`."""
     cumulative, credible = 0.0, []
     for effect, p in odds.items():
         credible.append(effect)
@@ -26,13 +26,13 @@ def credible_set(odds: Mapping[str, float]) -> list[str]:
 
 
 def alternatives_of(found: Explanation) -> list[dict[str, Any]]:
-    """Other sets: one effect replaced by what could stand in its place."""
+    """Other sets of effects: one effect is replaced by an alternative."""
     odds = [(m.hypothesis.effect.id, m.odds) for m in found.members] + [(s.id, s.odds) for s in found.noise_effects]
     ids = [effect for effect, _ in odds]
     return [
         {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}
-        for i, (own, each) in enumerate(odds)
-        for other, p in each.items()
+        for i, (own, probabilities) in enumerate(odds)
+        for other, p in probabilities.items()
         if other != own and p > 0.001
     ]
 
@@ -41,7 +41,7 @@ def parameters_of(found: Explanation) -> dict[str, Any]:
     simulator = found.problem.augmented.simulator
     names = [p.name for p in simulator.parameters]
     low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).reshape(-1, 2).T
-    phi, width = np.asarray(found.fit.v.phi, float), posterior.Z95 * found.sd.phi
+    phi, width = np.asarray(found.fit.v.phi, float), Z95 * found.sd.phi
     ends = (phi - width, phi + width)
     nominal = np.asarray(found.nominal.v.phi, float)
     nominal, fitted, *ends = (np.clip(a, low, high).tolist() for a in (nominal, phi, *ends))
@@ -56,7 +56,7 @@ def parameters_of(found: Explanation) -> dict[str, Any]:
 
 
 def beyond_of(loose: Explanation | None) -> dict[str, float]:
-    """Parameters that would leave their ranges, with the values they would take, where nothing else is missing then."""
+    """Fitted values of the parameters outside their ranges, if nothing else is missing with these values."""
     if loose is None or loose.anything:
         return {}
     values = zip(loose.problem.augmented.simulator.parameters, map(float, loose.fit.v.phi), strict=True)
@@ -64,7 +64,7 @@ def beyond_of(loose: Explanation | None) -> dict[str, float]:
 
 
 def sensitivity_of(seen: Sensitivity) -> dict[str, Any]:
-    """What could have been found, and what not."""
+    """What could have been found, and what could not."""
     return {
         "needed_nats": seen.needed, "power": POWER, "segments": seen.segments, "least_segments": seen.least_segments,
         "least_rows": seen.least_rows, "undetectable_effects": seen.undetectable_effects,
@@ -90,7 +90,7 @@ def rounds_of(found: Explanation) -> list[dict[str, Any]]:
 
 
 def untested_of(found: Explanation) -> list[str]:
-    """Hypotheses that no round could test: the simulator leaves the finite numbers with them."""
+    """Hypotheses that no round could test: the simulator does not stay finite with them."""
     return list(found.rounds[0].screening.untested)
 
 
@@ -104,8 +104,8 @@ def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
     ]
     if untested := untested_of(found):
         names = ", ".join(map(wording.title, untested))
-        notes.append(f"Could not test {names}: the simulator leaves the finite numbers there.")
+        notes.append(f"Could not test {names}: the simulator does not stay finite there.")
     if len(sessions.heldout) < scores.LEAST_SESSIONS:
-        few = "Intervals of held-out scores are a bootstrap over pieces of the held-out sessions, which are few."
-        notes.append(few)
+        note = "There are few held-out sessions: intervals of their scores are a bootstrap over pieces of sessions."
+        notes.append(note)
     return notes

@@ -1,4 +1,4 @@
-"""Numbers behind the pictures: an effect's law over the data it explains, its likelihood, and forecasts."""
+"""Numbers behind the figures: an effect's law with the data that it explains, its likelihood, and forecasts."""
 
 from itertools import pairwise
 
@@ -21,22 +21,22 @@ from simgap.types import Recording
 BINS = 16
 PROFILE = 25
 SHOWN_S = 12.0
-"""Length of the rollouts that are drawn [s]."""
+"""Length of the rollouts shown [s]."""
 
 
 def laws(problem: Problem, fit: Fit, hypothesis: Hypothesis, found: Excess) -> list[dict]:
-    """Pictures of one effect: what it explains, against what the robot does; and the likelihood of its constant."""
+    """Figures of one effect: its contribution to an output over a feature, and the likelihood of its constant."""
     shown = {"effect": hypothesis.effect.id, "form": hypothesis.effect.form, "where": hypothesis.where}
     return [shown | p for p in (*_explained(problem, fit, hypothesis, found), *_profile(problem, fit, hypothesis))]
 
 
 def _explained(problem: Problem, fit: Fit, hypothesis: Hypothesis, found: Excess) -> list[dict]:
-    """Change of the output most concerned that the effect brings (line), and with what is left over of it (dots)."""
+    """The effect's contribution to its main output (line), and the same plus the residuals (dots)."""
     without = vary(fit.v, hypothesis, [0.0] * len(hypothesis.groups))
     layout, state = problem.augmented.layout, counted(problem.chunks, np.asarray(problem.chunks.state)[:, :-1])
-    # In the bodies' own frames, as commands are: in the world's what they do depends on where the robot looks.
-    seen = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
-    raw = [by_row(to_own_frame, layout, e, state) for e in seen]
+    # In the bodies' own frames, like commands: in the world frame the law depends on the robot's heading.
+    innovations = [counted(problem.chunks, raw_innovations(problem, v)) for v in (without, fit.v)]
+    raw = [by_row(to_own_frame, layout, e, state) for e in innovations]
     law = raw[0] - raw[1]
     noise = 1.4826 * np.median(np.abs(raw[1]), axis=0) + 1e-9
     output = int(np.argmax((law**2).mean(0) / noise**2))
@@ -44,50 +44,50 @@ def _explained(problem: Problem, fit: Fit, hypothesis: Hypothesis, found: Excess
     unit = np.eye(law.shape[1])[[output]]
     frame = ", in its own frame" if (by_row(to_own_frame, layout, unit, np.ones_like(state[:1])) != unit).any() else ""
     features, names, units = _features(problem, found)
-    best = max(range(len(names)), key=lambda k: _told_by(features[:, k], law[:, output]))
-    x, y, left = features[:, best], law[:, output], raw[1][:, output]
+    best = max(range(len(names)), key=lambda k: _explained_by(features[:, k], law[:, output]))
+    x, y, residual = features[:, best], law[:, output], raw[1][:, output]
     members = binned(x)
     if len(members) < 3:
         return []
     centre, line = [float(x[m].mean()) for m in members], [float(y[m].mean()) for m in members]
     return [{
-        "title": f"What it explains of {field.name}{frame}",
+        "title": f"Effect on {field.name}{frame}",
         "x_label": f"{names[best]} [{units[best]}]",
-        "y_label": f"missed by the simulator [{field.unit}]",
-        "x": centre, "y": [at + float(np.median(left[m])) for at, m in zip(line, members, strict=True)],
-        "y_err": [_error_of_median(left[m]) for m in members],
+        "y_label": f"one-step error of the simulator [{field.unit}]",
+        "x": centre, "y": [at + float(np.median(residual[m])) for at, m in zip(line, members, strict=True)],
+        "y_err": [_error_of_median(residual[m]) for m in members],
         "line_x": centre, "line_y": line,
         "caption": "Line: the law. Dots: the law plus the median of the residuals (95 % interval).",
     }]  # fmt: skip
 
 
 def _features(problem: Problem, found: Excess) -> tuple[np.ndarray, list[str], list[str]]:
-    """What regimes are described by, and how much each command has changed: late and slow ones show in that."""
+    """Features that describe regimes, and recent changes of each command, which show delays and lags."""
     fields, sent = problem.augmented.simulator.schema.command, np.asarray(problem.chunks.command)
     columns, names, units = [found.features], list(found.names), list(found.units)
-    for rows, said in ((1, "a row"), (2, "two rows")):
+    for rows, span in ((1, "a row"), (2, "two rows")):
         change = sent - np.concatenate([np.repeat(sent[:, :1], rows, axis=1), sent[:, :-rows]], axis=1)
         columns.append(counted(problem.chunks, change[:, :-1]))
-        names += [f"change of {f.name} in {said}" for f in fields]
+        names += [f"change of {f.name} in {span}" for f in fields]
         units += [f.unit for f in fields]
     return np.hstack(columns), names, units
 
 
 def binned(x: Float[np.ndarray, " n"]) -> list[np.ndarray]:
-    """Rows of equally many values each, in order; of those bins that have some."""
+    """Row indices of each quantile bin, in order; without bins of few rows."""
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     members = [np.flatnonzero((x >= a) & (x <= b)) for a, b in pairwise(edges)]
     return [m for m in members if len(m) > 5]
 
 
 def _error_of_median(y: np.ndarray) -> float:
-    """Half of its 95 % interval. Odd rows, which hardly count in the fit, would decide a mean and its interval."""
+    """Half of the median's 95 % interval. A mean would be dominated by outlier rows, which hardly count in the fit."""
     spread = 1.4826 * np.median(np.abs(y - np.median(y)))
     return float(1.96 * np.sqrt(np.pi / 2) * spread / np.sqrt(len(y)))
 
 
-def _told_by(x: np.ndarray, y: np.ndarray) -> float:
-    """How much of y's mean changes with x."""
+def _explained_by(x: np.ndarray, y: np.ndarray) -> float:
+    """Sum of squares of y's mean in bins of x."""
     edges = np.quantile(x, np.linspace(0, 1, BINS + 1))
     index = np.clip(np.searchsorted(edges, x) - 1, 0, BINS - 1)
     count = np.bincount(index, minlength=BINS)
@@ -96,7 +96,7 @@ def _told_by(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _profile(problem: Problem, fit: Fit, hypothesis: Hypothesis) -> list[dict]:
-    """Log-likelihood along the effect's first constant, all else held."""
+    """Log-likelihood along the effect's first constant, all else fixed."""
     group, constant = hypothesis.groups[0], hypothesis.effect.constants[0]
     c = [value_of(fit.v, g) for g in hypothesis.groups]
     low, high = (float(b[group.entries[0]]) for b in problem.augmented.bounds)
@@ -110,24 +110,24 @@ def _profile(problem: Problem, fit: Fit, hypothesis: Hypothesis) -> list[dict]:
     order = np.argsort(np.array(x)[keep])
     return [{
         "title": f"Likelihood of the {constant.name}",
-        "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood less its best [nats]",
+        "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood minus its maximum [nats]",
         "x": [], "y": [], "y_err": [],
         "line_x": np.array(x)[keep][order].tolist(), "line_y": (loglik - loglik.max())[keep][order].tolist(),
-        "caption": "All other constants held at their best.",
+        "caption": "All other constants fixed at their estimates.",
     }]  # fmt: skip
 
 
 def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Contestant]) -> list[dict]:
-    """Forecasts of a stretch of one recording that no model saw, every output, by every model."""
+    """Forecasts of every output by every model, over the busiest window of a held-out recording."""
     steps = min(int(SHOWN_S / problem.scales.time_step), len(recording.time_s) - RUN_IN - 2)
     pieces = windows([recording], problem.scales.time_step, steps, 1) if steps > 1 else None
     if pieces is None:
         return []
     busiest = int(np.argmax(_activity(recording, pieces, steps)))
-    one = jax.tree.map(lambda a: np.asarray(a)[busiest : busiest + 1], pieces)
-    predicted = {name: forecast(problem, c, one)[0] for name, c in contestants.items()}
-    time = np.asarray(one.time_s)[0, RUN_IN + 1 :]
-    measured = np.asarray(one.state)[0, RUN_IN + 1 :]
+    piece = jax.tree.map(lambda a: np.asarray(a)[busiest : busiest + 1], pieces)
+    predicted = {name: forecast(problem, c, piece)[0] for name, c in contestants.items()}
+    time = np.asarray(piece.time_s)[0, RUN_IN + 1 :]
+    measured = np.asarray(piece.state)[0, RUN_IN + 1 :]
     return [
         {"session": recording.name, "output": f.name, "unit": f.unit, "time_s": time, "measured": measured[:, i],
          **{name: p[:, i] for name, p in predicted.items()}}
@@ -136,7 +136,7 @@ def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Cont
 
 
 def _activity(recording: Recording, pieces: Chunks, steps: int) -> list[float]:
-    """How much is commanded in each piece."""
+    """Sum of the scaled commands in each piece."""
     size = np.abs(recording.command / np.maximum(np.abs(recording.command).max(0), 1e-9)).sum(1)
     return [float(size[r + RUN_IN : r + RUN_IN + steps].sum()) for r in pieces.row]
 

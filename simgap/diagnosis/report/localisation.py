@@ -1,7 +1,7 @@
-"""Where the mismatch is: which outputs, in which regime, and when, with each one's share of the excess error.
+"""Where the mismatch is: outputs, regimes and times, each with its share of the excess error.
 
-Excess is what a better model (the simulator with the effects found, or the black box) gains in log-likelihood over the
-refitted simulator, row by row and output by output [nats].
+Excess is the gain in log-likelihood of a better model (the simulator with the effects found, or the black box) over the
+refitted simulator, per row and output [nats].
 """
 
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from simgap.diagnosis.config import MOST_ROWS, STANDS_OUT
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.likelihood.student_t import fit_noise, log_density
@@ -18,16 +19,15 @@ from simgap.effects.regime import Regime, features, words
 from simgap.layout import Layout
 from simgap.types import Recording
 
-MOST_ROWS = 0.6
-"""A regime is a part: it has at most this share of the rows."""
-STANDS_OUT = 0.25
-"""A regime is reported where its share of the excess exceeds its share of the rows by this much."""
 SMOOTH = 15
-"""Rows over which the strips of excess are averaged."""
+"""Rows over which excess is averaged for the figure over time."""
 
 
 class Excess(NamedTuple):
-    """Excess of every counted row and output [nats], where the row is, and what the robot was doing."""
+    """Excess of every scored row and output [nats], and the row's session, index and features of the motion.
+
+    share: reduction of every output's mean square error, clipped at quantiles.
+    """
 
     nats: Float[np.ndarray, "n s"]
     share: Float[np.ndarray, " s"]
@@ -54,7 +54,7 @@ def excess(augmented: Augmented, chunks: Chunks, base: Float[np.ndarray, "C t s"
 
 
 def outputs(augmented: Augmented, found: Excess) -> list[dict]:
-    """Outputs whose error a better model lowers, with the share it removes, greatest first."""
+    """Outputs whose error the better model reduces, with the share removed, largest first."""
     names = [f.name for f in augmented.simulator.schema.outputs]
     total = found.nats.sum(0)
     keep = [i for i in range(len(names)) if total[i] > 0.02 * np.maximum(total, 0).sum() and found.share[i] > 0.005]
@@ -62,7 +62,7 @@ def outputs(augmented: Augmented, found: Excess) -> list[dict]:
 
 
 def regimes(found: Excess) -> list[dict]:
-    """The one-sided rules on one feature that hold most of the excess in few rows; none where it is everywhere."""
+    """Up to three one-sided rules, each on another feature, that hold most of the excess in few rows."""
     per_row = found.nats.sum(1)
     total = per_row.sum()
     best: dict[str, tuple[float, dict]] = {}
@@ -83,7 +83,7 @@ def regimes(found: Excess) -> list[dict]:
 
 
 def share(found: Excess, layout: Layout, regime: Regime) -> dict:
-    """A regime with its share of the excess and of the rows, as `regimes` tells it."""
+    """A regime with its share of the excess and of the rows, in the layout of `regimes`."""
     per_row = found.nats.sum(1)
     rows = regime.side * (found.features[:, regime.feature] - regime.edge) > 0
     part = float(per_row[rows].sum() / per_row.sum())
@@ -91,7 +91,7 @@ def share(found: Excess, layout: Layout, regime: Regime) -> dict:
 
 
 def intervals(found: Excess, recordings: Sequence[Recording]) -> list[dict]:
-    """Sessions, or stretches of one, that hold most of the excess of several."""
+    """The window with most of the excess, if it is concentrated in one of several sessions."""
     per_row = found.nats.sum(1)
     total = per_row.sum()
     reported = []
@@ -101,15 +101,15 @@ def intervals(found: Excess, recordings: Sequence[Recording]) -> list[dict]:
         mine = np.flatnonzero(found.session == s)
         share, rows = per_row[mine].sum() / total, len(mine) / len(per_row)
         if len(mine) and share > 0.6 and share > 2.5 * rows:
-            start, stop = _stretch(per_row[mine])
+            start, stop = _window(per_row[mine])
             times = r.time_s[np.minimum(found.row[mine], len(r.time_s) - 1)]
             reported.append({"session": r.name, "from_s": float(times[start]), "to_s": float(times[stop]),
                          "share": float(min(per_row[mine[start : stop + 1]].sum() / total, 1.0))})  # fmt: skip
     return reported
 
 
-def _stretch(values: np.ndarray) -> tuple[int, int]:
-    """The stretch of greatest sum above the mean of the rest (Kadane's)."""
+def _window(values: np.ndarray) -> tuple[int, int]:
+    """First and last index of the window with the largest sum above half of the mean (Kadane's algorithm)."""
     level = values - max(values.mean(), 0.0) * 0.5
     best, start, current, begin = (-np.inf, 0, 0), 0, 0.0, 0
     for i, v in enumerate(level):
@@ -123,7 +123,7 @@ def _stretch(values: np.ndarray) -> tuple[int, int]:
 
 
 def heat(augmented: Augmented, found: Excess) -> dict:
-    """Mean excess [nats a row] of each output in low, middle and high thirds of what the robot was doing."""
+    """Mean excess [nats a row] of each output in the low, middle and high third of every feature of the motion."""
     chosen = [k for k, name in enumerate(found.names) if not name.startswith("|") and "cmd" not in name]
     chosen = chosen or list(range(len(found.names)))
     labels, columns = [], []
@@ -139,7 +139,7 @@ def heat(augmented: Augmented, found: Excess) -> dict:
 
 
 def strips(found: Excess, recordings: Sequence[Recording], heldout: bool) -> list[dict]:
-    """Excess over time in every session, smoothed."""
+    """Smoothed excess over time, one series per session."""
     per_row, reported = found.nats.sum(1), []
     for s, r in enumerate(recordings):
         mine = np.flatnonzero(found.session == s)

@@ -1,4 +1,4 @@
-"""Numbers behind the pictures of effects on the scatter: each law over the data that it explains."""
+"""Numbers behind the figures of effects on the noise: each law with the data that it explains."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,15 +13,15 @@ from simgap.diagnosis.report.figures import binned
 from simgap.types import Field
 
 TOLD = 0.35
-"""Standard deviation with which a row must tell where it lies between two hypotheses, to be drawn."""
+"""A row is shown if its position between two hypotheses has at most this standard deviation."""
 FEWEST = 30
-"""Rows that make a picture."""
+"""Minimum rows of a figure."""
 ERROR_OF_MAD = 1.17
-"""Standard error of the median absolute deviation, in scales over the root of the number."""
+"""Standard error of the median absolute deviation, times the root of the number of values, relative to the scale."""
 
 
 def picture(shown: Between | Widening | Spectrum) -> list[dict[str, Any]]:
-    """Of a law over the data that it explains; none where too few rows tell."""
+    """The figure of a law with the data that it explains; none if too few rows are informative."""
     match shown:
         case Between():
             return _between(*shown)
@@ -38,9 +38,9 @@ def _between(
     noise: Noise,
     axis: Axis,
 ) -> list[dict[str, Any]]:
-    """Rows by how far their innovations lie along a direction, and how many the mixture of hypotheses has there.
+    """Histogram of the innovations' positions along a direction, with the mixture of hypotheses.
 
-    Rows that hardly move along the direction tell nothing and are left out; a picture of too few is none.
+    Rows that hardly move along the direction are uninformative and left out. No figure if too few remain.
     """
     weights = direction / noise.scale**2
     length = (direction * weights).sum(1)
@@ -53,17 +53,17 @@ def _between(
     expected = np.asarray(shares) @ np.stack([np.diff(ndtr((edges - a[:, None]) / sd)).sum(0) for a in under])
     x, seen, likely = axis.plain + axis.unit * (edges[1:] + edges[:-1]) / 2, rows > 0, expected > 0.5
     return [{
-        "title": "What it explains of single rows", "x_label": axis.label, "y_label": "rows", "y_scale": "log",
+        "title": "Effect on single rows", "x_label": axis.label, "y_label": "rows", "y_scale": "log",
         "x": x[seen], "y": rows[seen], "y_err": np.minimum(1.96 * np.sqrt(rows), 0.9 * rows)[seen],
         "line_x": x[likely], "line_y": expected[likely],
-        "caption": "Dots: rows that can distinguish the laws (95 % interval). Line: as many as the law expects.",
+        "caption": "Dots: rows that can distinguish the laws (95 % interval). Line: number that the law predicts.",
     }]  # fmt: skip
 
 
 def _widening(
     e: Float[np.ndarray, "n c"], noise: Noise, moving: Float[np.ndarray, " n"], ratio: float
 ) -> list[dict[str, Any]]:
-    """Scatter of rows by how fast they go, in its width at rest, and the law's line from 1 to the ratio."""
+    """Noise over speed, relative to the noise at rest, and the law's line from 1 to `ratio`."""
     standard = np.abs(e / noise.scale)
     at_rest = np.median(standard / (1 + (ratio - 1) * moving[:, None]))
     members = binned(moving)
@@ -72,7 +72,7 @@ def _widening(
     x = [float(moving[m].mean()) for m in members]
     y = [float(np.median(standard[m]) / at_rest) for m in members]
     return [{
-        "title": "What it explains of the noise", "x_label": "motion, 1 at the usual speed [-]",
+        "title": "Effect on the noise", "x_label": "motion, 1 at the usual speed [-]",
         "y_label": "noise, 1 at rest [-]",
         "x": x, "y": y,
         "y_err": [1.96 * ERROR_OF_MAD * w / np.sqrt(standard[m].size) for w, m in zip(y, members, strict=True)],
@@ -84,16 +84,16 @@ def _widening(
 def _spectrum(
     power: Float[np.ndarray, " f"], level: float, k: int, segments: int, hertz: float, field: Field
 ) -> list[dict[str, Any]]:
-    """Power of an output's innovations by frequency, and the wave over the level around it."""
-    wave = (power[k - 1 : k + 2] - level).clip(0).sum()
+    """Spectrum of an output's innovations: a peak, and the level around it."""
+    peak = (power[k - 1 : k + 2] - level).clip(0).sum()
     line = np.full(len(power), level)
-    line[k - 1 : k + 2] += wave * np.array([1, 4, 1]) / 6  # as Hann's window spreads it
+    line[k - 1 : k + 2] += peak * np.array([1, 4, 1]) / 6  # as Hann's window spreads it
     shown = np.arange(1, len(power))
     x, y = hertz * shown, power[shown] / segments
     return [{
-        "title": f"Spectrum of what is left of {field.name}", "x_label": "frequency [Hz]",
+        "title": f"Spectrum of the residuals of {field.name}", "x_label": "frequency [Hz]",
         "y_label": f"power [({field.unit})²]", "y_scale": "log",
         "x": x, "y": y, "y_err": min(1.96 / np.sqrt(segments), 0.9) * y,
         "line_x": x, "line_y": line[shown] / segments,
-        "caption": "Dots: measured (95 % interval). Line: the wave, and the level of the frequencies around it.",
+        "caption": "Dots: measured (95 % interval). Line: the peak, and the level around it.",
     }]  # fmt: skip

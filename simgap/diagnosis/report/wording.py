@@ -1,4 +1,4 @@
-"""A diagnosis in an engineer's words."""
+"""Sentences of a diagnosis."""
 
 import math
 import re
@@ -10,7 +10,7 @@ from simgap.diagnosis.report.experiment import Experiment
 from simgap.effects import CATALOGUE
 
 LISTED = 6
-"""Names that a sentence lists at most."""
+"""Maximum number of names in a sentence."""
 
 
 def number(value: float) -> str:
@@ -26,24 +26,24 @@ def quantity(constant: dict[str, Any]) -> str:
 
 def effect(hypothesis: Hypothesis, constants: list[dict[str, Any]]) -> str:
     """One effect: its law with its constants, and where it acts."""
-    said = hypothesis.effect.says.format(**{c["name"]: quantity(c) for c in constants})
-    # Along one axis of a body that turns it shows in two outputs.
+    text = hypothesis.effect.says.format(**{c["name"]: quantity(c) for c in constants})
+    # Along one axis of a body that turns, an effect shows in two outputs.
     shown = (hypothesis.where,) if hypothesis.where in hypothesis.outputs else hypothesis.outputs
     if hypothesis.effect.place == "engine" and len(hypothesis.sites) == 1 and hypothesis.where != "all":
-        return f"{said[0].upper()}{said[1:]} ({hypothesis.where})."  # a joint, an actuator or a body by its own name
+        return f"{text[0].upper()}{text[1:]} ({hypothesis.where})."  # a joint, an actuator or a body by its own name
     where = ", ".join(hypothesis.channels or shown) or hypothesis.where
-    return f"{said[0].upper()}{said[1:]} ({where})."
+    return f"{text[0].upper()}{text[1:]} ({where})."
 
 
 def acts(support: dict[str, Any]) -> str:
     """Where and when an effect acts, if not throughout."""
     match support:
         case {"kind": "regime", "regime": regime}:
-            return f" It acts where {regime} only."
+            return f" It acts only where {regime}."
         case {"kind": "from", "from_s": from_s}:
             return f" It acts from {from_s:.1f} s on in every session."
         case {"kind": "window", "session": session, "from_s": from_s, "to_s": to_s}:
-            return f" It acts from {from_s:.1f} s to {to_s:.1f} s of session {session} only."
+            return f" It acts only from {from_s:.1f} s to {to_s:.1f} s of session {session}."
     return ""
 
 
@@ -59,8 +59,8 @@ def experiment(designed: Experiment, ids: Sequence[str]) -> str:
 
 
 def law(term: dict[str, Any]) -> str:
-    """A term of a law without a name."""
-    return f"a push on {term['axis']} depends on {' and '.join(term['depends_on'])}"
+    """A term of the nonparametric law."""
+    return f"an unexplained push on {term['axis']} depends on {' and '.join(term['depends_on'])}"
 
 
 def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
@@ -72,13 +72,13 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
 
     if seen["segments"] < seen["least_segments"]:
         add(
-            f"the fitted recordings are {seen['segments']} independent segments; chance can be judged from "
-            f"{seen['least_segments']} on",
+            f"the fitted recordings have {seen['segments']} independent segments; a diagnosis needs at least "
+            f"{seen['least_segments']}",
             f"Record at least {seen['least_rows']} rows in the sessions that are fitted",
         )
     if not diagnosis["fit"]["models"]:
         add(
-            "the held-out sessions are too short to judge a forecast by",
+            "the held-out sessions are too short to score a forecast",
             f"Record held-out sessions of at least {diagnosis['fit']['least_rows']} rows",
         )
     if beyond := diagnosis["parameters"]["beyond"]:
@@ -149,7 +149,7 @@ def _unexplained(diagnosis: dict[str, Any]) -> str:
     depends = ", ".join(d["input"] for d in diagnosis["located"]["depends_on"][:3])
     better_at = diagnosis["fit"]["black_box_better_at"]
     return (
-        "Something is missing that the vocabulary does not explain."
+        "Something is missing that none of the known effects explains."
         + (f" It shows in {where}." if where else "")
         + (f" It depends most on {depends}." if depends else "")
         + (f" On held-out sessions a black box predicts better after {listed([_steps(h) for h in better_at])}."
@@ -161,8 +161,10 @@ def _missing_physics(diagnosis: dict[str, Any]) -> str:
     lines = f"The simulator leaves out: {_statements(diagnosis['effects'])}"
     more = []
     if diagnosis["whiteness"]["outputs"]:
-        shares = [f"{o['share']:.0%} of what is left in {o['name']}" for o in diagnosis["whiteness"]["outputs"][:3]]
-        more.append(f"{listed(shares)} can be predicted from the rows before")
+        shares = [
+            f"{o['share']:.0%} of the residual variance in {o['name']}" for o in diagnosis["whiteness"]["outputs"][:3]
+        ]
+        more.append(f"{listed(shares)} can be predicted from earlier rows")
     more += [law(term) for term in diagnosis["nonparametric"]]
     if diagnosis["more_missing"] or more:
         lines += " Something else is missing as well" + (f": {'; '.join(more)}." if more else ".")
@@ -188,23 +190,23 @@ def _statements(effects: Sequence[dict[str, Any]]) -> str:
 
 
 def _would_show(diagnosis: dict[str, Any]) -> str:
-    """What would have been found, and at what size: the first effect of every place where laws act."""
+    """What would have been found, and at what size: one example for every place where laws act."""
     seen, place_of = diagnosis["sensitivity"], {e.id: e.place for e in CATALOGUE}
     first: dict[str, dict[str, Any]] = {}
     for v in seen["effects"]:
         if v["size"] is not None:
-            first.setdefault(place_of.get(v["effect"], "engine"), v)  # what is in no catalogue is an engine's own
+            first.setdefault(place_of.get(v["effect"], "engine"), v)  # an effect outside the catalogue is an engine's
     sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
     return f" With a probability of {seen['power']:.0%} these would have been found, for example: {'; '.join(sizes)}."
 
 
 def sized(visible: dict[str, Any]) -> str:
-    """The smallest size of an effect that would have been found, with its unit."""
+    """The smallest detectable size of an effect, with its unit."""
     return quantity({"value": visible["size"], "unit": visible["unit"]})
 
 
 def _improvement(models: dict[str, Any]) -> str:
-    """Against the better of the simulator as it is and refitted, at the longest horizon."""
+    """Improvement over the simulator as it is or refitted, whichever is better, at the longest horizon."""
     if "augmented" not in models:
         return ""
     longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
@@ -220,7 +222,7 @@ def _improvement(models: dict[str, Any]) -> str:
 
 
 def _of_motion(error: float) -> str:
-    return f"{error:.1%}" if math.isfinite(error) else "more than can be computed"
+    return f"{error:.1%}" if math.isfinite(error) else "infinitely much"
 
 
 def _horizon(score: str) -> int:
@@ -241,7 +243,7 @@ def title(effect: str) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """`a, b and c`; of many the first, `a, b, c and 4 more`."""
+    """`a, b and c`; if there are many, the first ones and the number of the others: `a, b, c and 4 more`."""
     if len(names) > LISTED:
         names = [*names[: LISTED - 1], f"{len(names) - LISTED + 1} more"]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

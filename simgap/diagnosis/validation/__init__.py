@@ -1,1 +1,1 @@
-"""What held-out sessions say, and the verdict."""
+"""Scores on held-out sessions, and the verdict."""

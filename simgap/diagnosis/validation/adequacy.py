@@ -1,4 +1,4 @@
-"""The verdict: which names stand, whether something else is missing, and whether the recordings suffice to say so."""
+"""The verdict: which effects are named, whether something else is missing, and whether the recordings suffice."""
 
 from typing import Any, NamedTuple
 
@@ -15,13 +15,13 @@ from simgap.diagnosis.validation.sensitivity import Sensitivity
 
 
 class Verdict(NamedTuple):
-    """What is concluded.
+    """The conclusion of a diagnosis.
 
-    verdict: as in diagnosis.json. named, possible: of each member, whether it is named, and whether it could be.
-    something_else: whether more is missing than what is named. share: of the black box's one-step gain that the members
-    make. beaten_at: horizons [rows] at which a black box surely beats all others on held-out sessions. worse_at: those
-    at which the second model of a pair is worse than the first. parameters_moved: whether held-out sessions gain by
-    other parameters alone.
+    verdict: as in diagnosis.json. named, possible: for each member, whether it is named, and whether it could be.
+    something_else: whether more is missing than the named effects. share: of the black box's one-step gain that the
+    members reach. beaten_at: horizons [rows] at which a black box is significantly better than all other models on
+    held-out sessions. worse_at: horizons at which the second model of a pair is worse than the first. parameters_moved:
+    whether refitting the parameters alone improves the held-out sessions.
     """
 
     verdict: str
@@ -37,42 +37,42 @@ class Verdict(NamedTuple):
 def conclude(
     found: Explanation, judged: Judgement, seen: Sensitivity, beyond: Explanation | None, rng: np.random.Generator
 ) -> Verdict:
-    """The verdict on the best explanation, by what held-out sessions say of it.
+    """The verdict on the best explanation, from its scores on held-out sessions.
 
-    `beyond`: what is found when parameters may leave their ranges, where some would. Nothing that these explain as well
-    is claimed. With a baseline a black box has no say: most of what it finds was there before.
+    `beyond`: the explanation found when parameters may leave their ranges, if some would. An effect that it lacks is
+    not named. With a baseline the black box is ignored: most of what it finds was there before.
     """
-    nobody = tuple(False for _ in found.members)
+    all_false = tuple(False for _ in found.members)
     if not judged.heldout or seen.few or (beyond is not None and not beyond.anything):
-        return Verdict("inconclusive", nobody, nobody, False, None, (), {}, False)
+        return Verdict("inconclusive", all_false, all_false, False, None, (), {}, False)
     heldout = dict(judged.heldout)
     box, refitted = heldout.pop("black_box"), heldout["refitted"]
     augmented = heldout.get("augmented", refitted)
     share = None if found.baseline else scores.explained_share(refitted, augmented, box, rng)
     beaten = () if found.baseline else tuple(scores.beats(list(heldout.values()), box))
-    little = share is not None and share["ci95"][1] < EXPLAINED
+    low_share = share is not None and share["ci95"][1] < EXPLAINED
     named = tuple(
-        (beyond is None or m.hypothesis.effect.id in beyond.ids) and _stands(found, judged, i, little, rng)
+        (beyond is None or m.hypothesis.effect.id in beyond.ids) and _is_named(found, judged, i, low_share, rng)
         for i, m in enumerate(found.members)
     )
     moved = scores.difference(heldout["nominal"], refitted, rng)["ci95"][0] > 0
     pairs = [("nominal", "refitted"), *([("nominal", "augmented"), ("refitted", "augmented")] if found.members else [])]
     worse = {pair: scores.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
-    # A law with which forecasts explode is no physics, whatever it does to the next row: it stands for nothing.
+    # A law with which forecasts diverge cannot be physical, however well it predicts the next row.
     possible = tuple(not any(scores.explodes(a, b) for a, b in _pairs(judged, i)) for i in range(len(named)))
     verdict = _verdict(found, any(named), any(possible) or share is not None or bool(beaten), moved, seen)
-    something_else = little or bool(beaten) or any(p and not n for p, n in zip(possible, named, strict=True))
+    something_else = low_share or bool(beaten) or any(p and not n for p, n in zip(possible, named, strict=True))
     return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved)
 
 
 def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sensitivity) -> str:
-    """`named`: an effect is. `more`: there is one that is not, or a black box finds more."""
+    """`named`: whether an effect is named. `more`: whether one is possible, or the black box gains significantly."""
     if named:
         return "missing_physics"
-    # What is periodic, or odd in single rows, can be predicted in part.
-    accounted = any(s.id == "gait_oscillation" or s.rare for s in found.noise_effects)
-    nameless = bool(found.whiteness.nats.any() or found.law.terms) and not accounted
-    if more or nameless:
+    # Periodic noise and outlier rows can be predicted in part.
+    explained = any(s.id == "gait_oscillation" or s.rare for s in found.noise_effects)
+    unnamed = bool(found.whiteness.nats.any() or found.law.terms) and not explained
+    if more or unnamed:
         return "unexplained"
     if found.noise_effects:
         return "missing_physics"
@@ -81,31 +81,31 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
     return "parameters_only" if moved else "nothing"
 
 
-def _stands(found: Explanation, judged: Judgement, i: int, little: bool, rng: np.random.Generator) -> bool:
-    """Whether a member is named: it explains most of what there is to explain, or stands out whatever else is missing.
+def _is_named(found: Explanation, judged: Judgement, i: int, low_share: bool, rng: np.random.Generator) -> bool:
+    """Whether a member is named: it explains most of the mismatch, or stands out whatever else is missing.
 
-    What makes forecasts worse is a wrong idea, however likely it makes the next row: surely worse, or on held-out
-    and on fitted sessions alike.
+    An effect that makes forecasts of several steps worse is not named, however well it predicts the next row: worse
+    significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both.
     """
     m, pairs = found.members[i], _pairs(judged, i)
-    dearer = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
-    if any(h > 1 for h in dearer) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
+    worse_on_both = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
+    if any(h > 1 for h in worse_on_both) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
         return False
-    return (found.names(m) and not little) or _stands_out(found, m, *pairs[0], rng)
+    return (found.names(m) and not low_share) or _stands_out(found, m, *pairs[0], rng)
 
 
 def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judged, Judged]]:
-    """The model without a member and the one with it, on held-out and on fitted sessions."""
+    """Scores of the model without a member and of the one with it, on held-out and on fitted sessions."""
     heldout, fitted = judged.refitted_without[i]
     return (heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"])
 
 
 def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:
-    """Whether an effect improves held-out forecasts at every horizon, by much at one, with its constant well known."""
+    """Whether an effect improves held-out forecasts at every horizon, by `LARGE` at one, with a well-known constant."""
     if m.odds[m.hypothesis.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
         return False
     if not differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd, WELL_DETERMINED):
         return False
     outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
-    removed = scores.changes(without, with_it, rng, outputs)
-    return all(c["ci95"][1] < 0 for c in removed) and min(c["value"] for c in removed) < -LARGE
+    changes = scores.changes(without, with_it, rng, outputs)
+    return all(c["ci95"][1] < 0 for c in changes) and min(c["value"] for c in changes) < -LARGE

@@ -1,8 +1,8 @@
-"""A black box on top of the refitted simulator: what anything could remove that depends on state and commands.
+"""A black box on top of the refitted simulator: how much error any function of state and commands could remove.
 
 Ridge regression of the innovations on random Fourier features [Rahimi & Recht 2007] of the bodies' own motion and the
-last commands, in each body's own frame. It names nothing; it measures how much there is to be named, and bears
-witness where the vocabulary has no word.
+last commands, in each body's own frame. It names nothing. It measures how much there is to explain, and shows that
+something is missing where no known effect fits.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from simgap.layout import Layout
 from simgap.rows import by_row
 
 COMMANDS = 4
-"""Rows of commands it sees: the present one and those before."""
+"""Rows of commands that it sees: the present one and those before it."""
 FEATURES = 300
 RIDGES = (1e-1, 1e0, 1e1, 1e2, 1e3)
 WIDTHS = (4.0, 10.0)
@@ -48,12 +48,12 @@ def silent(layout: Layout) -> BlackBox:
 
 
 def inputs(layout: Layout, state: Float[Array, " s"], commands: Float[Array, "k u"]) -> Float[Array, " d"]:
-    """What the black box sees."""
+    """Inputs of the black box."""
     return jnp.concatenate([seen(layout, state, commands[0]), commands[1:COMMANDS].ravel()])
 
 
 def input_names(layout: Layout) -> list[str]:
-    """What each input of the black box is called."""
+    """Names of the black box's inputs."""
     before = [f"{f.name} {k} rows before" for k in range(1, COMMANDS) for f in layout.schema.command]
     return [*seen_names(layout), *before]
 
@@ -76,11 +76,11 @@ def correct(
     return to_world(layout, _features(box, inputs(layout, state, commands)) @ box.weights, state)
 
 
-def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n k u"]]:
-    """What the box sees in the rows that count: the state that each step begins with, and the last commands.
+def _scored_inputs(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n k u"]]:
+    """What the box sees in the scored rows: the state at the beginning of each step, and the last commands.
 
-    The state is the filter's estimate, as in forecasts: what is measured holds noise, which foretells the next
-    innovation as well, and none after it.
+    The state is the filter's estimate, as in forecasts. The measured state holds noise that predicts the next
+    innovation, but none after it.
     """
     chunks, counts = problem.chunks, np.asarray(problem.chunks.counts)
     x = estimates(problem, v)
@@ -90,15 +90,16 @@ def _seen(problem: Problem, v: Variables) -> tuple[Float[np.ndarray, "n s"], Flo
 
 
 def _design(problem: Problem, v: Variables) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs [n, d] and own-frame innovations [n, s] of the rows that count."""
+    """Inputs [n, d] and own-frame innovations [n, s] of the scored rows."""
     e = counted(problem.chunks, raw_innovations(problem, v))
     e = np.pad(e, ((0, 0), (0, len(problem.augmented.layout.observed) - e.shape[1])))
-    layout, (x, sent) = problem.augmented.layout, _seen(problem, v)
+    layout, (x, sent) = problem.augmented.layout, _scored_inputs(problem, v)
     return by_row(inputs, layout, x, sent), by_row(to_own_frame, layout, e, x)
 
 
 def train(problem: Problem, v: Variables, rng: np.random.Generator) -> BlackBox:
-    """Ridge and kernel width by cross-validation over runs of chunks; innovations are clipped to 4 sd."""
+    """Fit the box, with ridge and kernel width by cross-validation over runs of segments; innovations are clipped to
+    4 sd."""
     z, target = _design(problem, v)
     scale = np.maximum(1.4826 * np.median(np.abs(target), axis=0), 1e-9)
     target = np.clip(target / scale, -4, 4)
@@ -127,7 +128,7 @@ def _solve(gram: np.ndarray, moment: np.ndarray, ridge: float) -> np.ndarray:
 
 
 def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndarray, " n"]) -> dict[float, float]:
-    """Squared error on the folds left out, per ridge."""
+    """Squared error on the left-out folds, per ridge."""
     parts = [(features[fold == k], target[fold == k]) for k in np.unique(fold)]
     grams, moments = [f.T @ f for f, _ in parts], [f.T @ t for f, t in parts]
     gram, moment = sum(grams), sum(moments)
@@ -141,10 +142,10 @@ def _cross_validated(features: np.ndarray, target: np.ndarray, fold: Int[np.ndar
 
 
 def predicted(problem: Problem, v: Variables, box: BlackBox) -> Float[np.ndarray, "C t s"]:
-    """What the box says of every innovation, in the outputs' own frame; zero in rows that do not count."""
+    """The box's prediction of every innovation, in the outputs' own frame; zero in rows that are not scored."""
     counts, layout = np.asarray(problem.chunks.counts), problem.augmented.layout
-    said = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
-    x, sent = _seen(problem, v)
+    prediction = np.zeros((*counts.shape, box.weights.shape[1]), np.float32)
+    x, sent = _scored_inputs(problem, v)
     added = np.asarray(_every_row(box, by_row(inputs, layout, x, sent)) @ box.weights)
-    said[counts] = by_row(to_world, layout, added, x)
-    return said
+    prediction[counts] = by_row(to_world, layout, added, x)
+    return prediction

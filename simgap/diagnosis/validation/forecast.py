@@ -1,4 +1,4 @@
-"""Predictions over many steps, from an estimate of the state that measurements corrected up to the start."""
+"""Multi-step predictions, from a state estimate that measurements correct up to the start."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -21,14 +21,14 @@ from simgap.effects.step import unsense
 from simgap.types import Recording
 
 PIECES, SEGMENT = 64, 10
-"""Pieces, and rows of them, that are computed at once: one size whatever the horizon, for each is compiled anew."""
+"""Pieces, and rows of them, that are computed at once: one size for all horizons, since each size is compiled anew."""
 
 FEW = 1
-"""Effects at most for which the program of forecasts leaves out the others: it has no more than was found."""
+"""With at most this many effects, forecasts are compiled without the laws of all others (see `Augmented.lean`)."""
 
 
 def windows(recordings: Sequence[Recording], time_step: float, horizon: int, stride: int) -> Chunks | None:
-    """Pieces of RUN_IN + horizon + 1 rows, every `stride` rows; None where all sessions are too short for one."""
+    """Pieces of RUN_IN + horizon + 1 rows, one every `stride` rows; None if all sessions are too short."""
     rows = RUN_IN + horizon + 1
     parts: list[tuple] = []
     for s, r in enumerate(recordings):
@@ -42,11 +42,11 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
 
 
 Regimes = tuple[Regime, ...]
-"""Of every support; `EVERYWHERE` where it has none."""
+"""One per support; `EVERYWHERE` for a support without a regime."""
 
 
 class Contestant(NamedTuple):
-    """A model that forecasts: its variables, what a black box adds, and the regimes of its supports."""
+    """A model that forecasts: its variables, its black box if it has one, and the regimes of its supports."""
 
     v: Variables
     box: BlackBox | None = None
@@ -54,9 +54,9 @@ class Contestant(NamedTuple):
 
 
 def forecast(problem: Problem, model: Contestant, pieces: Chunks) -> Float[np.ndarray, "W h s"]:
-    """Predicted measurements of the rows after each piece's run-in; nothing corrects them.
+    """Predicted measurements of the rows after each piece's run-in, without corrections.
 
-    What has a support acts where its gate is open and the robot is, as predicted, in its regime.
+    An effect with a support acts where its gate is open and the predicted state is in its regime.
     """
     augmented, scales = problem.augmented.lean(FEW, model.v.theta, model.v.delta), problem.scales
     model = model if model.box is not None else model._replace(box=silent(augmented.layout))
@@ -65,8 +65,8 @@ def forecast(problem: Problem, model: Contestant, pieces: Chunks) -> Float[np.nd
     for first in range(0, count, PIECES):
         # The last batch is filled up by repetition.
         index = np.minimum(np.arange(first, first + PIECES), count - 1)
-        some = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
-        parts.append(_forecast(augmented, scales, model, some)[: count - first])
+        batch = jax.tree.map(lambda a, index=index: np.asarray(a)[index], pieces)
+        parts.append(_forecast(augmented, scales, model, batch)[: count - first])
     return np.concatenate(parts)
 
 
@@ -82,17 +82,17 @@ def _forecast(augmented: Augmented, scales: Scales, model: Contestant, pieces: C
         np.swapaxes(pieces.gate[..., :-1], 1, 2),
         trust,
     )
-    going = _begin(augmented, model.v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
+    filtered = _begin(augmented, model.v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
     parts = []
     for first in range(0, steps, SEGMENT):
         # The last segment is filled up by repetition.
         index = np.minimum(np.arange(first, first + SEGMENT), steps - 1)
-        going, seen = _go_on(augmented, scales, model, going, tuple(a[:, index] for a in rows))
-        parts.append(np.asarray(seen))
+        filtered, predicted = _segment(augmented, scales, model, filtered, tuple(a[:, index] for a in rows))
+        parts.append(np.asarray(predicted))
     return np.concatenate(parts, axis=1)[:, RUN_IN:steps]
 
 
-_Going = tuple[Memory, Float[Array, "W s"]]
+_Filtered = tuple[Memory, Float[Array, "W s"]]
 """Memory and estimated state at the end of a segment."""
 
 
@@ -104,7 +104,7 @@ def _begin(
     past: Float[Array, "W h u"],
     time_s: Float[Array, " W"],
     turns: Float[Array, "W m u"],
-) -> _Going:
+) -> _Filtered:
     active = augmented.active(v.theta, *v.delta)
 
     def one(state: Array, past: Array, time_s: Array, turns: Array) -> tuple[Memory, Array]:
@@ -115,30 +115,30 @@ def _begin(
 
 
 @partial(jax.jit, static_argnames="augmented")
-def _go_on(
+def _segment(
     augmented: Augmented,
     scales: Scales,
     model: Contestant,
-    going: _Going,
+    filtered: _Filtered,
     rows: tuple[Array, ...],
-) -> tuple[_Going, Float[Array, "W t s"]]:
+) -> tuple[_Filtered, Float[Array, "W t s"]]:
     v, box, regimes = model
-    assert box is not None  # `forecast` gave it one
+    assert box is not None  # set by `forecast`
     phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
     active = augmented.active(v.theta, *v.delta)
 
     def row(carry, now):
         memory, x = carry
         y_next, u, time_s, next_s, interval, gate, trust = now
-        there = [gate[s] * holds(augmented.layout, regime, x, u) for s, regime in enumerate(regimes)]
-        theta = acting(v, v.theta, there)
+        gates = [gate[s] * holds(augmented.layout, regime, x, u) for s, regime in enumerate(regimes)]
+        theta = acting(v, v.theta, gates)
         sent = jnp.concatenate([u[None], memory.commands])
         added = correct(augmented.layout, box, x, sent)
-        here = Row(time_s, interval)
-        memory, x = advance(augmented, phi, theta, scales, memory, x, u, here, active)
-        # While measurements correct the filter it runs as it did when the box was trained on what it leaves over.
+        timing = Row(time_s, interval)
+        memory, x = advance(augmented, phi, theta, scales, memory, x, u, timing, active)
+        # In the run-in the filter works without the box, as it did when the box was trained on its innovations.
         x = x + (1 - trust) * added
-        seen = sense(augmented, theta, memory, x, here._replace(time_s=next_s), active)
-        return (memory, corrected(augmented.layout, trust * K, x, innovation(augmented, y_next, seen))), seen
+        y = sense(augmented, theta, memory, x, timing._replace(time_s=next_s), active)
+        return (memory, corrected(augmented.layout, trust * K, x, innovation(augmented, y_next, y))), y
 
-    return jax.vmap(lambda going, rows: jax.lax.scan(row, going, rows))(going, rows)
+    return jax.vmap(lambda filtered, rows: jax.lax.scan(row, filtered, rows))(filtered, rows)

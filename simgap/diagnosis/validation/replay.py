@@ -1,4 +1,4 @@
-"""How far models run from what was measured on held-out sessions, where nothing corrects them for seconds."""
+"""Open-loop errors on held-out sessions: models run for seconds without corrections by measurements."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,26 +13,26 @@ from simgap.rows import by_row
 from simgap.types import Recording
 
 LONGEST_S = 5.0
-"""Length of the pieces of sessions that are replayed [s], or of the longest session where that is shorter."""
+"""Length of the replayed pieces [s]; that of the longest session if it is shorter."""
 
 
 def pieces_of(heldout: Sequence[Recording], time_step: float) -> Chunks | None:
-    """Pieces to replay, one behind the other; None where sessions are too short for any."""
+    """Consecutive pieces to replay; None if all sessions are too short."""
     longest = max(len(r.time_s) for r in heldout) - RUN_IN - 1
     rows = min(round(LONGEST_S / time_step), longest)
     return windows(heldout, time_step, rows, rows) if rows > 0 else None
 
 
 def replay(problem: Problem, contestants: Mapping[str, Contestant], pieces: Chunks) -> dict[str, Any]:
-    """Root mean square error over the pieces of every position that is measured, by model, in its unit."""
+    """Root mean square error of every measured position over the pieces, by model, in the position's unit."""
     simulator, rows = problem.augmented.simulator, pieces.state.shape[1] - RUN_IN - 1
     fields = [(i, f) for i, f in enumerate(simulator.schema.outputs) if f.kind in ("position", "angle")]
     measured = np.asarray(pieces.state)[:, RUN_IN + 1 :]
-    missed = {
+    residuals = {
         name: by_row(wrapped, problem.augmented.layout, measured - forecast(problem, model, pieces))
         for name, model in contestants.items()
     }
-    errors = {name: np.sqrt(np.mean(np.square(e, dtype=float), axis=(0, 1))) for name, e in missed.items()}
+    errors = {name: np.sqrt(np.mean(np.square(e, dtype=float), axis=(0, 1))) for name, e in residuals.items()}
     return {
         "seconds": rows * simulator.time_step, "pieces": len(pieces.row),
         "positions": [

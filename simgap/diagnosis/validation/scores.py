@@ -1,6 +1,6 @@
-"""Does it help? Errors on sessions that took no part, for the simulator as it is, refitted, augmented, and a black box.
+"""Scores on held-out sessions: of the simulator as it is, refitted, and augmented, and of a black box.
 
-Intervals are a bootstrap over pieces of the held-out sessions (whole sessions where there are five or more).
+Intervals are a bootstrap over sessions if there are five or more, else over runs of pieces.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ from simgap.types import Recording
 
 HORIZONS = (1, 10, 50)
 LEAST_ROWS = RUN_IN + max(HORIZONS) + 1
-"""Rows of the shortest session that can be judged at all horizons."""
+"""Minimum rows of a session that can be scored at all horizons."""
 STRIDE = 5
 RUN = 10
-"""Pieces of one run, where sessions are too few to be the units; at least, see `_unit`."""
+"""Minimum pieces of a run; runs are the bootstrap's units where sessions are few (see `_unit`)."""
 
 
 class Judged(NamedTuple):
-    """Per piece of recording (n pieces): squared errors at the horizons, and one-step log-likelihood in nats a row.
+    """Errors of a model, piece by piece (n pieces).
 
-    error: measured less predicted [n, horizons, s]. nll: [n]. moved: measured change over the horizon [n, horizons, s].
-    session: of each piece.
+    error: measured minus predicted [n, horizons, s]. moved: measured change over the horizon [n, horizons, s].
+    nll: one-step negative log-likelihood [nats a row] [n]. session: of each piece.
     """
 
     error: Float[np.ndarray, "n h s"]
@@ -43,9 +43,9 @@ class Judged(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """Every contestant on held-out sessions, and on those it was fitted to; empty where these are too short.
+    """Every contestant on held-out sessions and on the fitted ones; empty if these are too short.
 
-    lacking: of each effect found, the model that lacks it, on both.
+    refitted_without: for each effect found, the model without it, on both.
     """
 
     heldout: dict[str, Judged]
@@ -54,17 +54,17 @@ class Judgement(NamedTuple):
 
 
 def judge(problem: Problem, contestant: Contestant, fitted: Chunks, heldout: Chunks) -> tuple[Judged, Judged]:
-    """A contestant on pieces of held-out sessions and of those it was fitted to, whose rows give its one-step noise."""
-    missed = _missed(problem, contestant, fitted)
-    e = missed.error[:, 0] @ problem.whiten.T
+    """A contestant on held-out and on fitted pieces. Its one-step noise is estimated on the fitted ones."""
+    on_fitted = _errors(problem, contestant, fitted)
+    e = on_fitted.error[:, 0] @ problem.whiten.T
     finite = np.isfinite(e).all(1)
     noise = fit_noise(e[finite]) if finite.any() else None
-    unseen = _missed(problem, contestant, heldout)
-    return _scored(problem, unseen, noise), _scored(problem, missed, noise)
+    on_heldout = _errors(problem, contestant, heldout)
+    return _scored(problem, on_heldout, noise), _scored(problem, on_fitted, noise)
 
 
-def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
-    """What forecasts miss; their likelihood is still open."""
+def _errors(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
+    """Forecast errors; the likelihood is still nan."""
     layout = problem.augmented.layout
     predicted, measured = forecast(problem, contestant, pieces), _measured(pieces)
     steps = [h - 1 for h in HORIZONS if h <= measured.shape[1]]
@@ -75,12 +75,12 @@ def _missed(problem: Problem, contestant: Contestant, pieces: Chunks) -> Judged:
     return Judged(error, moved, np.full(len(error), np.nan), pieces.session)
 
 
-def _scored(problem: Problem, missed: Judged, noise: Noise | None) -> Judged:
-    """With the negative log-likelihood of one step; none was finite where there is no noise."""
+def _scored(problem: Problem, judged: Judged, noise: Noise | None) -> Judged:
+    """With the one-step negative log-likelihood. `noise` is None if no error was finite."""
     if noise is None:
-        return missed
-    e = missed.error[:, 0] @ problem.whiten.T
-    return missed._replace(nll=-log_density(e, noise).sum(1) - np.linalg.slogdet(problem.whiten)[1])
+        return judged
+    e = judged.error[:, 0] @ problem.whiten.T
+    return judged._replace(nll=-log_density(e, noise).sum(1) - np.linalg.slogdet(problem.whiten)[1])
 
 
 def _measured(pieces: Chunks) -> np.ndarray:
@@ -89,11 +89,11 @@ def _measured(pieces: Chunks) -> np.ndarray:
 
 
 def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
-    """Held-out scores with 95 % intervals: nll_1, error_h (a share of the motion over h steps), metres per body."""
+    """Scores with 95 % intervals: nll_1, error_h (share of the motion over h steps), position error of every body."""
     draws = resample(_unit(judged.session), rng)
     table = {"nll_1": interval(averages_known(judged.nll, draws))}
     for k in range(judged.error.shape[1]):
-        table[f"error_{HORIZONS[k]}"] = interval(_share_missed(judged, k, draws))
+        table[f"error_{HORIZONS[k]}"] = interval(_relative_error(judged, k, draws))
     last = judged.error.shape[1] - 1
     for b, body in enumerate(layout.bodies):
         axes = [int(i) for i in layout.position[b, [X, Y, Z]] if i >= 0]
@@ -104,12 +104,12 @@ def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str
     return table
 
 
-def _share_missed(
+def _relative_error(
     judged: Judged, k: int, draws: Draws | None = None, outputs: Sequence[int] | None = None
 ) -> Float[np.ndarray, " draws"]:
-    """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than standing still.
+    """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than predicting no motion.
 
-    The errors of all pieces, or of draws of them, by the motion of all. Infinite where a forecast exploded.
+    `draws` apply to the errors only; the motion is that of all pieces. Infinite where a forecast diverged.
     """
     chosen = slice(None) if outputs is None else list(outputs)
     draws = np.ones((1, len(judged.session))) if draws is None else draws
@@ -120,9 +120,9 @@ def _share_missed(
 
 
 def _unit(session: np.ndarray, horizon: int = 1) -> np.ndarray:
-    """What varies by itself: a number for each piece's session, or for its run of pieces where sessions are few.
+    """Independent units: the number of each piece's session or, where sessions are few, of its run of pieces.
 
-    Runs are long enough that those next to each other share less than half of the rows that they forecast.
+    Runs are so long that neighbouring ones share less than half of the rows that they forecast.
     """
     if len(np.unique(session)) >= LEAST_SESSIONS:
         return session
@@ -130,73 +130,74 @@ def _unit(session: np.ndarray, horizon: int = 1) -> np.ndarray:
 
 
 def difference(a: Judged, b: Judged, rng: np.random.Generator) -> dict[str, Any]:
-    """Mean of a's nll less b's [nats a row], paired, with its interval: above zero where b is better."""
+    """Mean of a's nll minus b's [nats a row], paired, with its interval: positive if b is better."""
     return interval(averages_known(a.nll - b.nll, resample(_unit(a.session), rng)))
 
 
 def horizons(judged: Judged) -> tuple[int, ...]:
-    """The horizons [rows] that the pieces are long enough for."""
+    """The horizons [rows] for which the pieces are long enough."""
     return HORIZONS[: judged.error.shape[1]]
 
 
 def changes(a: Judged, b: Judged, rng: np.random.Generator, outputs: Sequence[int] | None = None) -> list[dict]:
-    """By which share of a's error b's differs at each horizon, with its interval, paired: below zero where b is better.
+    """Relative change of the error from a to b at each horizon, paired, with its interval: negative if b is better.
 
-    Over all outputs, or some of them (indices).
+    outputs: indices of those compared; all by default.
     """
     draws = resample(_unit(a.session), rng)
 
-    def more(k: int) -> Float[np.ndarray, " draws"]:
-        before, after = (_share_missed(j, k, draws, outputs) for j in (a, b))
-        exploded = np.where(np.isinf(after), 0.0, -1.0)
+    def change(k: int) -> Float[np.ndarray, " draws"]:
+        before, after = (_relative_error(j, k, draws, outputs) for j in (a, b))
+        from_infinite = np.where(np.isinf(after), 0.0, -1.0)
         with np.errstate(invalid="ignore"):
-            return np.where(np.isinf(before), exploded, after / np.maximum(before, 1e-12) - 1)
+            return np.where(np.isinf(before), from_infinite, after / np.maximum(before, 1e-12) - 1)
 
-    return [interval(more(k)) for k in range(a.error.shape[1])]
+    return [interval(change(k)) for k in range(a.error.shape[1])]
 
 
 def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
-    """The horizons [rows] at which b, by `MARGIN` and beyond chance, misses more of the motion than a."""
+    """The horizons [rows] at which b's error exceeds a's by more than `MARGIN` over the whole 95 % interval."""
     return [h for h, c in zip(horizons(a), changes(a, b, rng), strict=True) if c["ci95"][0] > MARGIN]
 
 
 def dearer_at(a: Judged, b: Judged) -> set[int]:
-    """The horizons [rows] at which b misses more of the motion than a by `LEAST_SHARE`, by chance or not."""
-    missed = ([_share_missed(j, k)[0] for j in (a, b)] for k in range(a.error.shape[1]))
-    return {h for h, (before, after) in zip(horizons(a), missed, strict=True) if after > (1 + LEAST_SHARE) * before}
+    """The horizons [rows] at which b's error exceeds a's by more than `LEAST_SHARE`, significantly or not."""
+    errors = ([_relative_error(j, k)[0] for j in (a, b)] for k in range(a.error.shape[1]))
+    return {h for h, (before, after) in zip(horizons(a), errors, strict=True) if after > (1 + LEAST_SHARE) * before}
 
 
 def explodes(a: Judged, b: Judged) -> bool:
-    """Whether forecasts leave the finite numbers with b, and not with a."""
-    shares = ([_share_missed(j, k)[0] for k in range(a.error.shape[1])] for j in (a, b))
-    return any(np.isfinite(x) and not np.isfinite(y) for x, y in zip(*shares, strict=True))
+    """Whether forecasts diverge with b at a horizon at which they do not with a."""
+    errors = ([_relative_error(j, k)[0] for k in range(a.error.shape[1])] for j in (a, b))
+    return any(np.isfinite(x) and not np.isfinite(y) for x, y in zip(*errors, strict=True))
 
 
 def beats(references: Sequence[Judged], box: Judged) -> list[int]:
-    """The horizons [rows] at which a black box surely misses less of the motion than each of the references does.
+    """The horizons [rows] at which a black box has a significantly smaller error than every reference.
 
-    By Student's t over sessions or runs of pieces; the chance of any horizon by noise alone is `LEVEL`.
+    By one-sided t tests over sessions or runs of pieces, at `LEVEL` for all horizons together (Bonferroni).
     """
     level = LEVEL / len(horizons(box))
-    return [h for k, h in enumerate(horizons(box)) if all(_misses_less(r, box, k, level) for r in references)]
+    return [h for k, h in enumerate(horizons(box)) if all(_significantly_smaller(r, box, k, level) for r in references)]
 
 
-def _misses_less(a: Judged, b: Judged, k: int, level: float) -> bool:
-    if not _share_missed(b, k)[0] < (1 - MARGIN) * _share_missed(a, k)[0]:
+def _significantly_smaller(a: Judged, b: Judged, k: int, level: float) -> bool:
+    """Whether b's error is smaller than a's at horizon `k` by more than `MARGIN`, and significantly so."""
+    if not _relative_error(b, k)[0] < (1 - MARGIN) * _relative_error(a, k)[0]:
         return False
     moved = np.maximum((a.moved[:, k] ** 2).mean(0), 1e-12)
-    with np.errstate(over="ignore"):  # a forecast that exploded
+    with np.errstate(over="ignore"):  # a forecast that diverged
         gains = ((a.error[:, k] ** 2 - b.error[:, k] ** 2) / moved).mean(1)
-    return _surely_positive(gains, _unit(a.session, HORIZONS[k]), level)
+    return _significantly_positive(gains, _unit(a.session, HORIZONS[k]), level)
 
 
 def surely_likelier(a: Judged, b: Judged) -> bool:
-    """Whether b has the lesser nll by more than noise gives with the chance at which it may pass for an effect."""
-    return _surely_positive(a.nll - b.nll, _unit(a.session), LEVEL)
+    """Whether b has a significantly lower nll than a, at `LEVEL`."""
+    return _significantly_positive(a.nll - b.nll, _unit(a.session), LEVEL)
 
 
-def _surely_positive(gains: Float[np.ndarray, " n"], unit: np.ndarray, level: float) -> bool:
-    """Whether pieces gain on average, by Student's t over units, of which there may be too few for a bootstrap."""
+def _significantly_positive(gains: Float[np.ndarray, " n"], unit: np.ndarray, level: float) -> bool:
+    """One-sided t test for a positive mean over units, which may be too few for a bootstrap."""
     unit = np.unique(unit, return_inverse=True)[1]
     means = np.bincount(unit, gains) / np.bincount(unit)
     if len(means) < 2 or not np.isfinite(means).all():
@@ -206,20 +207,20 @@ def _surely_positive(gains: Float[np.ndarray, " n"], unit: np.ndarray, level: fl
 
 
 def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random.Generator) -> dict[str, Any] | None:
-    """Share of the black box's one-step gain that named physics makes; None where the box gains nothing sure."""
+    """Share of the black box's one-step gain that the named effects reach; None if its gain is not significant."""
     if not surely_likelier(refitted, box):
         return None
 
     draws = resample(_unit(refitted.session), rng)
     named_gains, box_gains = (averages((refitted.nll - j.nll)[:, None], draws)[:, 0] for j in (named, box))
-    # Physics can be better than the box; then it explains all there is to explain.
+    # The effects may gain more than the box; the share is then 1.
     return interval(np.clip(named_gains / np.maximum(box_gains, 1e-9), 0.0, 1.0))
 
 
 def pieces_of(recordings: Sequence[Recording], time_step: float) -> Chunks | None:
-    """Pieces for judging, with the longest horizon that at least one session allows."""
+    """Pieces to score, with the longest horizon that at least one session allows; None if there is none."""
     for horizon in sorted(HORIZONS, reverse=True):
-        found = windows(recordings, time_step, horizon, STRIDE)
-        if found is not None:
-            return found
+        pieces = windows(recordings, time_step, horizon, STRIDE)
+        if pieces is not None:
+            return pieces
     return None

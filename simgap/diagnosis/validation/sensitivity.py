@@ -1,6 +1,6 @@
-"""What the recordings could have shown: for every effect and site the smallest size that would have been found.
+"""Power: for every effect and site, the smallest size that would have been found.
 
-"Nothing is missing" is a claim about sizes. Below them, and where nothing moved, the recordings are silent.
+"Nothing is missing" is a claim about sizes. Smaller effects, and effects on what did not move, would not be found.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,14 +16,14 @@ from simgap.diagnosis.inference.score_test import Screened, Screening, in_propor
 from simgap.diagnosis.likelihood.problem import Problem
 
 LARGEST = 10.0
-"""Times the usual size, up to which a law in proportion to its constant is extrapolated."""
+"""Largest extrapolation of a law that is proportional to its constant, as a multiple of the size tested."""
 
 
 class Visible(NamedTuple):
     """The smallest size of an effect at a site that would have been found.
 
-    commands: those that the effect changes on their way. size: of its constant [unit]; None where no size that was
-    tried would have been. usual_nats: what the most visible of the usual sizes would have gained.
+    commands: those that the effect changes on the command path. size: of its constant [unit]; None if no size tried
+    would have been found. usual_nats: largest gain among the usual sizes.
     """
 
     effect: str
@@ -36,8 +36,10 @@ class Visible(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """What could have been found. needed: nats that an effect must be able to gain. segments: independent pieces of the
-    fitted recordings; least_segments: with fewer, chance itself cannot be judged. least_rows: the rows of so many.
+    """What could have been found.
+
+    needed: nats that an effect must be able to gain. segments: number of independent segments in the fitted recordings.
+    least_segments: minimum for a null distribution. least_rows: rows in that many segments.
     """
 
     visible: tuple[Visible, ...]
@@ -48,22 +50,22 @@ class Sensitivity(NamedTuple):
 
     @property
     def few(self) -> bool:
-        """Whether there are too few independent pieces to judge what chance does."""
+        """Whether there are too few independent segments for a null distribution."""
         return self.segments < self.least_segments
 
     @property
     def undetectable_effects(self) -> list[str]:
-        """Effects of which no usual size would have been found at any site."""
+        """Effects that would not have been found at any site at a usual size."""
         return _below(self.needed, ((v.effect, v.usual_nats) for v in self.visible))
 
     @property
     def unexcited_channels(self) -> list[str]:
-        """Commands of which no usual change would have been found, of any kind: they hardly move."""
+        """Commands on which no effect of a usual size would have been found: they hardly move."""
         return _below(self.needed, ((c, v.usual_nats) for v in self.visible for c in v.commands))
 
 
 def _below(needed: float, nats: Iterable[tuple[str, float]]) -> list[str]:
-    """The names whose greatest gain is below what is needed."""
+    """Names whose largest gain is below `needed`."""
     greatest: dict[str, float] = {}
     for name, gain in nats:
         greatest[name] = max(gain, greatest.get(name, 0.0))
@@ -71,10 +73,10 @@ def _below(needed: float, nats: Iterable[tuple[str, float]]) -> list[str]:
 
 
 def sensitivity(problem: Problem, screening: Screening, hypotheses: Sequence[Hypothesis]) -> Sensitivity:
-    """By the first screening: what every effect at a single site would have gained at the sizes that were tested.
+    """From the first screening: what every effect at a single site would have gained at the sizes tested.
 
-    The statistic of an effect that gains g nats is normal about sqrt(2 g), of variance one; it is found with the chance
-    `POWER` where sqrt(2 g) exceeds the root of the screening's threshold by as many deviations.
+    The root of the score statistic of an effect that gains g nats is normal with mean sqrt(2 g) and variance one. So it
+    exceeds the threshold's root with probability `POWER` if sqrt(2 g) is ndtri(POWER) standard deviations above that.
     """
     needed = 0.5 * float(np.sqrt(screening.threshold) + ndtri(POWER)) ** 2
     tested: dict[str, list[Screened]] = {}
@@ -86,10 +88,10 @@ def sensitivity(problem: Problem, screening: Screening, hypotheses: Sequence[Hyp
 
 
 def _visible(problem: Problem, hypothesis: Hypothesis, tested: Sequence[Screened], needed: float) -> Visible:
-    """Of the sizes that would have been found the one closest to no effect."""
+    """The size closest to zero that would have been found."""
     amplitudes = [k for k, c in enumerate(hypothesis.effect.constants) if not c.shapes]
-    found = [(s.constant, size) for s in tested if (size := _smallest(s, needed)) is not None]
-    k, size = min(found, key=lambda f: abs(f[1]), default=(amplitudes[0], None))
+    visible = [(s.constant, size) for s in tested if (size := _smallest(s, needed)) is not None]
+    k, size = min(visible, key=lambda f: abs(f[1]), default=(amplitudes[0], None))
     constant = hypothesis.effect.constants[k]
     physical = None if size is None else float(constant.physical(size, hypothesis.sites[0], problem.scales))
     usual = max((s.power for s in tested), default=0.0)
@@ -99,9 +101,9 @@ def _visible(problem: Problem, hypothesis: Hypothesis, tested: Sequence[Screened
 
 
 def _smallest(s: Screened, needed: float) -> float | None:
-    """The smallest internal value that would have been found, by one test; None where the test leads to none.
+    """The smallest internal value that would have been found, according to one test; None if it gives none.
 
-    The gain of a law in proportion to its constant grows with the square of it, and it need not have been tested there.
+    The gain of a law that is proportional to its constant grows with the constant's square, so it can be extrapolated.
     """
     if in_proportion(s.hypothesis, s.constant):
         return s.tested * float(np.sqrt(needed / s.power)) if s.power * LARGEST**2 >= needed else None

@@ -116,7 +116,7 @@ def test_nothing_is_said_of_commands(folder: Path, statement: dict[str, Any]) ->
     assert "The machine takes no commands, so no experiment can be proposed." in statement["notes"]
     page = (folder / "found" / "diagnosis.html").read_text()
     assert "no experiment can be proposed" in page.lower()
-    assert "no further experiment is called for" not in page.lower()
+    assert "no further experiment is needed" not in page.lower()
     assert "The machine takes no commands." in (folder / "found" / "check.html").read_text()
     assert all(not e["channels"] for e in statement["effects"])
 

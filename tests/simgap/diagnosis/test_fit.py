@@ -9,6 +9,7 @@ from scipy import stats
 from small import KEYS, RICH, acting, problem, sessions
 
 from examples.drive import PARAMETERS, SCHEMA
+from simgap.diagnosis.config import Z95
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import From, opened
@@ -56,7 +57,7 @@ def test_parameters_of_a_null_are_found_within_their_own_intervals(seed: int) ->
     sd = posterior.spread(model.problem, model.fit, model.nuisance).phi
     z = (np.asarray(model.fit.v.phi) - planted) / sd
     assert np.abs(z).max() < 4
-    assert (np.abs(z) < posterior.Z95).mean() > 0.8
+    assert (np.abs(z) < Z95).mean() > 0.8
     # And they are intervals worth having: the memories' and the advances'.
     assert (sd[:6] < 0.05).all()
     assert (sd[18:] < 0.05).all()

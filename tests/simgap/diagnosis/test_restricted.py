@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simgap.diagnosis.inference.scan import FEWEST, SILENT, narrowest
+from simgap.diagnosis.config import LEAST_ROWS_OF_REGIME, SILENT
+from simgap.diagnosis.inference.scan import narrowest
 from simgap.effects.regime import EVERYWHERE
 
 SHARE = 0.03
@@ -29,7 +30,7 @@ def test_the_regime_gains_what_the_best_of_all_edges_does(seed: int, rows: int, 
             for acting in (column > edge, column <= edge):
                 into = gain(score[acting], power[acting])
                 if (
-                    FEWEST <= acting.mean() <= 1 - FEWEST
+                    LEAST_ROWS_OF_REGIME <= acting.mean() <= 1 - LEAST_ROWS_OF_REGIME
                     and gain(score[~acting], power[~acting]) < SILENT + SHARE * into
                 ):
                     best = max(best, into - gain(score, power))

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simgap.diagnosis.inference.scan import EDGE, onset
+from simgap.diagnosis.config import NO_ONSET
+from simgap.diagnosis.inference.scan import onset
 from simgap.diagnosis.likelihood.segments import Rows
 
 STEP = 1 / 15
@@ -19,7 +20,7 @@ def test_the_onset_gains_what_the_best_of_all_onsets_does(seed: int, lengths: li
     mine = rows.session == 0 if in_one else time_s >= 0
     gain = lambda on: 0.5 * score[on].sum() ** 2 / power[on].sum()  # noqa: E731
     last = time_s[mine].max()
-    later = [t for t in np.unique(time_s[mine]) if EDGE * last < t < (1 - EDGE) * last or (in_one and t == 0)]
+    later = [t for t in np.unique(time_s[mine]) if NO_ONSET * last < t < (1 - NO_ONSET) * last or (in_one and t == 0)]
     best = max((gain(mine & (time_s >= t)) - gain(time_s >= 0) for t in later), default=0.0)
 
     when, more = onset(rows, score, power, 0 if in_one else None)

@@ -29,7 +29,7 @@ from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording, RecordingError
 
 RATE = 15.0
-ALWAYS = ["base_wz never changes from 0.5. Nothing can be said of what depends on it."]
+ALWAYS = ["base_wz is always 0.5. Effects that depend on it cannot be found."]
 """What is so of `motion`, a circle."""
 Change = Callable[[pd.DataFrame], Any]
 
@@ -110,22 +110,22 @@ def test_good_recordings_have_no_findings_but_what_is_so(tmp_path: Path, capsys:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (column("base_vx", lambda r: 1000 * r.base_vx), "base_x changes by 0.001 times what base_vx says"),
-        (column("base_vx", lambda r: r.base_vy), "base_vx does not go with the change of base_x"),
+        (column("base_vx", lambda r: 1000 * r.base_vx), "base_x changes 0.001 times as fast as base_vx says"),
+        (column("base_vx", lambda r: r.base_vy), "base_vx does not match the change of base_x"),
         (column("cmd_ee_vx", lambda r: 0 * r.cmd_ee_vx), "The command cmd_ee_vx is never used"),
-        (column("cmd_ee_vx", lambda r: 0.3 + 0 * r.cmd_ee_vx), "cmd_ee_vx never changes from 0.3"),
-        (column("cmd_ee_vx", lambda r: r.cmd_ee_vy), "cmd_ee_vx and cmd_ee_vy go together"),
+        (column("cmd_ee_vx", lambda r: 0.3 + 0 * r.cmd_ee_vx), "cmd_ee_vx is always 0.3"),
+        (column("cmd_ee_vx", lambda r: r.cmd_ee_vy), "cmd_ee_vx and cmd_ee_vy move together"),
         (column("time_s", lambda r: r.time_s * 2), "rows are 0.1333 s apart"),
         (column("ee_z", lambda r: r.ee_z + (r.index == 77) * 9.0), r"ee_z jumps 2 times \(walk_0 row 78"),
         (column("ee_z", lambda r: r.ee_z.iloc[r.index // 4 * 4].to_numpy()), "ee_z repeats its last value in 75%"),
-        (stuck, "ee_z never changes from 0.5"),
+        (stuck, "ee_z is always 0.5"),
         (paused, "one gap dwarfs .*, in walk_0 60.07 s after row 100; the longest of the others is 0.0667 s"),
         (paused_twice, "2 gaps dwarf all other intervals, in walk_0 4.067 s after row .00"),
         (in_body_frame, r"base_vx, base_vy do not match the change of base_x, base_y \(agreement -?0...\); "
-                        r"these match if rotated by base_yaw \(1.00\)"),
-        (in_body_frame, "ee_vx, ee_vy do not match the change of ee_x, ee_y .* these match if rotated by base_yaw"),
+                        r"they do if rotated by base_yaw \(1.00\)"),
+        (in_body_frame, "ee_vx, ee_vy do not match the change of ee_x, ee_y .* they do if rotated by base_yaw"),
         (driven_in(180 / np.pi), "cmd_base_wz is 7.* times base_wz .*, as between degrees and radians"),
-        (driven_in(-1), "base_wz goes against cmd_base_wz"),
+        (driven_in(-1), "base_wz moves opposite to cmd_base_wz"),
         (column("base_vx", lambda r: np.append(np.diff(r.base_x) * RATE, 0)),
          "base_vx is the forward difference of base_x"),
     ],
@@ -158,7 +158,7 @@ def test_a_car_that_is_measured_along_the_world_is_found(tmp_path: Path) -> None
 
 def test_a_sensor_that_was_off_in_a_session_is_found(tmp_path: Path) -> None:
     (line,) = found(tmp_path, rows(), changed(stuck), rows(start=50))[-2:-1]
-    assert line.startswith("ee_z never changes in walk_1, and does in other sessions")
+    assert line.startswith("ee_z never changes in walk_1, but does in other sessions")
 
 
 def test_sessions_of_different_rates_are_found(tmp_path: Path) -> None:
@@ -174,9 +174,9 @@ def test_sessions_that_are_there_twice_or_overlap_are_found(tmp_path: Path) -> N
     whole, late, other = rows(), rows(), rows(start=200)
     late["time_s"] += 5000.0
     (line,) = found(tmp_path, whole, late, other)
-    assert line.startswith("Sessions that are there twice: walk_1 (as walk_0). Remove one")
+    assert line.startswith("Duplicate sessions: walk_1 (same as walk_0). Remove one")
     (line,) = found(tmp_path, whole.iloc[:200], whole.iloc[150:], other)
-    assert line.startswith("Sessions overlap, they have rows in common: walk_0 and walk_1 (50 rows)")
+    assert line.startswith("Overlapping sessions: walk_0 and walk_1 (50 rows)")
 
 
 def test_sessions_are_known_again_where_they_are_short_or_sensors_are_slow(tmp_path: Path) -> None:
@@ -184,8 +184,8 @@ def test_sessions_are_known_again_where_they_are_short_or_sensors_are_slow(tmp_p
     slow[list(SCHEMA.columns[1:])] = slow[list(SCHEMA.columns[1:])].iloc[slow.index // 2 * 2].to_numpy()
     short = rows(seconds=0.55, start=100)
     assert len(short) < repeats.RUN
-    (line,) = [f for f in found(tmp_path, slow, slow, short, short, rows(start=200)) if "twice" in f]
-    assert line.startswith("Sessions that are there twice: walk_1 (as walk_0), walk_3 (as walk_2). Remove one")
+    (line,) = [f for f in found(tmp_path, slow, slow, short, short, rows(start=200)) if "Duplicate" in f]
+    assert line.startswith("Duplicate sessions: walk_1 (same as walk_0), walk_3 (same as walk_2). Remove one")
 
 
 def test_sessions_that_repeat_at_rest_are_others(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_sessions_that_repeat_at_rest_are_others(tmp_path: Path) -> None:
         for name in SCHEMA.columns[1:]:
             session.loc[still, name] = 0.001 * rng.integers(0, 2, still.sum()) if name == "ee_z" else 0.0
         sessions.append(session)
-    assert not [line for line in found(tmp_path, *sessions) if "twice" in line or "overlap" in line]
+    assert not [line for line in found(tmp_path, *sessions) if "Duplicate" in line or "Overlapping" in line]
 
 
 @pytest.mark.parametrize(("mark", "word"), [(";", "semicolons"), ("\t", "tabs")])
@@ -274,7 +274,7 @@ def test_the_real_spot_has_rows_that_last_longer_and_nothing_else() -> None:
     """Its published pickles have no time stamps: at 15 Hz positions change by more than the velocities say."""
     found = check.check(spot_recordings(), Spot()).findings
     assert len(found) == 6
-    factors = [re.search("changes by (.*) times what", line) for line in found]
+    factors = [re.search("changes (.*) times as fast as", line) for line in found]
     assert all(f is not None and 1.5 < float(f[1]) < 2.5 for f in factors), found
     sessions, _ = read_recordings(spot_recordings(), SCHEMA, Spot().time_step)
     assert not derived(SCHEMA, sessions)

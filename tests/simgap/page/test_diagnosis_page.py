@@ -317,12 +317,12 @@ def test_a_law_without_a_name_is_listed_term_by_term() -> None:
     diagnosis, evidence = missing_physics()
     terms = [{"axis": "base_vx", "depends_on": ["base_x", "base_y"], "gain_nats": 41.26},
              {"axis": "ee_vz", "depends_on": ["reach"], "gain_nats": 17.0}]  # fmt: skip
-    assert "a push without a name" not in text(page(diagnosis, evidence))
+    assert "an unexplained push" not in text(page(diagnosis, evidence))
     said = text(page(diagnosis | {"nonparametric": terms}, evidence))
     assert "on base_vx: base_x and base_y 41.3 nats" in said
-    assert "In addition, a push without a name acts on the machine" in said
+    assert "In addition, an unexplained push acts on the machine" in said
     unnamed = text(page(diagnosis | {"nonparametric": terms, "effects": []}, evidence))
-    assert "A push without a name acts on the machine" in unnamed
+    assert "An unexplained push acts on the machine" in unnamed
     assert "on ee_vz: reach 17.0 nats" in said
 
 
@@ -330,7 +330,7 @@ def test_nothing_missing_says_so_in_every_section(pages: dict[str, str]) -> None
     said = text(pages["nothing"])
     for words in ("Nothing is missing", "No output, regime or time stands out",
                   "No physics is missing: the simulator and the recordings differ by noise only",
-                  "No other explanation is in the running, and no further experiment is called for",
+                  "No other explanation remains, and no further experiment is needed",
                   "The best effect tried is gain; noise alone gains as much with a probability of 0.44",
                   "No parameter moved further",
                   "cmd_base_vx delay 0.0123 s"):  # fmt: skip
