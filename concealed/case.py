@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concealed.catalogue import make
+from concealed.catalogue import make_all
 from concealed.form import Array, Form, Size
 from concealed.operator import Habits, Person
 from concealed.plain import (
@@ -70,18 +70,6 @@ def noise_of(level: float) -> Noise:
     return Noise(PROCESS * level, MEASURED * level)
 
 
-HARDER = {
-    "Delay": {"jitter": 0.3},
-    "Dropout": {"shortest": 0.1, "longest": 1.9},
-    "Floor": {"uneven": 0.02},
-    "LateSensor": {"jitter": 0.3},
-    "Slope": {"uneven": 0.6},
-    "Stalls": {"share": 0.12},
-    "StickSlip": {"hold": 1.6},
-}
-"""Other forms of the same effects, for examinations."""
-
-
 def conceal(recipe: Recipe, seed: int) -> Case:
     """The case of a recipe; equal arguments give equal cases."""
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(7)]
@@ -89,12 +77,8 @@ def conceal(recipe: Recipe, seed: int) -> Case:
     sessions, rows = SIZES[recipe.size]
     of, noise = _robot(drawn, recipe.wild), noise_of(recipe.level)
     by, habits = observers(of, noise), _habits(drawn, recipe.poor)
-    first = _first(drawn, sessions)
-    forms = [make(name, form_rng) for name in recipe.names]
-    if recipe.harder:
-        for form in forms:
-            for name, value in HARDER.get(type(form).__name__, {}).items():
-                setattr(form, name, value)
+    start = first(drawn, sessions)
+    forms = make_all(recipe.names, recipe.harder, form_rng)
     seeds = {"person": int(person.integers(2**62)), "luck": int(luck.integers(2**62))}
     chance = _chance(noise_rng, sessions, rows, noise, recipe.outliers)
 
@@ -106,7 +90,7 @@ def conceal(recipe: Recipe, seed: int) -> Case:
         many = robot(np.repeat(of.flat, size.batch, axis=0))
         drawn = Chance(*(np.tile(a, (size.copies, 1, 1)) for a in chance)) if noisy else _silence(size)
         spread = np.repeat(magnitude, sessions, axis=0)
-        setting = Setting(many, operate, np.tile(first, (size.copies, 1)), noise, drawn, size)
+        setting = Setting(many, operate, np.tile(start, (size.copies, 1)), noise, drawn, size)
         return run(setting, forms, spread, gate)
 
     gate, when = _gate(recipe, gate_rng, sessions, rows, lambda: play([], np.zeros((1, 0)), False, None))
@@ -164,7 +148,7 @@ def _habits(rng: np.random.Generator, poor: bool) -> Habits:
     return Habits(float(rng.uniform(0.8, 1.2)), used)
 
 
-def _first(rng: np.random.Generator, sessions: int) -> Array:
+def first(rng: np.random.Generator, sessions: int) -> Array:
     """Standing still somewhere in the room, the arm before the robot."""
     x = np.zeros((sessions, 12))
     x[:, :2], x[:, 2] = rng.uniform(-1, 1, (sessions, 2)), rng.uniform(-np.pi, np.pi, sessions)

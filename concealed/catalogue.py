@@ -1,6 +1,6 @@
 """All concealed forms by their id, and those that have none."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -71,3 +71,25 @@ def make(name: str, rng: np.random.Generator) -> Form:
     """A form of an id, or of a law without one, drawn with all that is fixed of it."""
     kinds = FORMS[name] if name in FORMS else (OUTSIDE[name],)
     return kinds[int(rng.integers(len(kinds)))](rng)
+
+
+HARDER = {
+    "Delay": {"jitter": 0.3},
+    "Dropout": {"shortest": 0.1, "longest": 1.9},
+    "Floor": {"uneven": 0.02},
+    "LateSensor": {"jitter": 0.3},
+    "Slope": {"uneven": 0.6},
+    "Stalls": {"share": 0.12},
+    "StickSlip": {"hold": 1.6},
+}
+"""Other forms of the same effects, for examinations."""
+
+
+def make_all(names: Sequence[str], harder: bool, rng: np.random.Generator) -> list[Form]:
+    """The forms of several ids, in their harder variants if asked for."""
+    forms = [make(name, rng) for name in names]
+    if harder:
+        for form in forms:
+            for name, value in HARDER.get(type(form).__name__, {}).items():
+                setattr(form, name, value)
+    return forms

@@ -169,6 +169,13 @@ class ArmParams(Strict):
     rows: SessionRows = Field(description="Rows of a session, 50 a second.")
 
 
+class TiesParams(Strict):
+    """Experiments that diagnoses prescribed, made with the robots of their cases."""
+
+    of: Literal["development", "examination"] = Field(description="The examined suite whose ties are settled.")
+    repeats: Cases = Field(ge=1, description="Sessions of each experiment, from different places.")
+
+
 class ConcealParams(Strict):
     """What a suite holds; counts of cases, strengths in nats."""
 
@@ -193,6 +200,7 @@ class ConcealParams(Strict):
     glitches: Share = Field(description="Of all cases: glitches in what is measured.")
     real: FolderParams = Field(description="Recordings of a real Spot, for the suite of that name.")
     arm: ArmParams = Field(description="The suite of that name.")
+    ties: TiesParams = Field(description="The suite of that name.")
 
 
 class ExamineParams(Strict):

@@ -14,9 +14,10 @@ from typing import Any
 import flows  # noqa: F401  # settles the environment before JAX is imported
 import simgap.simulators.mujoco  # noqa: F401  # MuJoCo starts a process when it is imported, which the lock forbids
 from simgap.api import diagnose
+from simgap.formats.diagnoses import EXPERIMENT, write_experiment
 from simgap.formats.documents import write_json
 from tasks.sealed.lock import lock
-from tasks.sealed.workspace import AFTER, BEFORE, MODEL
+from tasks.sealed.workspace import AFTER, BEFORE, MODEL, PRESCRIBED, RECORDED
 
 
 def examine(case: Path, out: Path, seed: int) -> None:
@@ -26,10 +27,17 @@ def examine(case: Path, out: Path, seed: int) -> None:
     if after.exists():
         found = diagnose(simulator, after, baseline=before, seed=seed)
     else:
-        found = diagnose(simulator, case, seed=seed)
+        found = diagnose(simulator, recordings_of(case), seed=seed)
     if found.left_out:
         raise ValueError("; ".join(found.left_out))
+    if found.found.experiment is not None:
+        write_experiment(out.parent / EXPERIMENT, found.found.experiment, found.diagnosed.schema)
     write_json(out, found.statement)
+
+
+def recordings_of(case: Path) -> list[Path]:
+    """The folders of a case's sessions: what was recorded, and the experiment that a diagnosis of it prescribed."""
+    return [case / RECORDED, case / PRESCRIBED] if (case / PRESCRIBED).exists() else [case]
 
 
 def _answer(line: str) -> dict[str, Any]:

@@ -41,13 +41,20 @@ def write(
         remove_file(path, folder)
     save_arrays(folder / MODEL, _arrays(found.model))
     if found.experiment is not None:
-        columns = ("time_s", *(f.name for f in schema.command))
-        rows = np.column_stack(found.experiment)
-        write_table(folder / EXPERIMENT, [dict(zip(columns, row, strict=True)) for row in rows])
+        write_experiment(folder / EXPERIMENT, found.experiment, schema)
     for name, text in models.items():
         write_text(folder / name, text)
     write_text(folder / PAGE, page)
     write_json(folder / STATEMENT, found.statement)
+
+
+def write_experiment(
+    path: Path, experiment: tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T u"]], schema: Schema
+) -> None:
+    """Times [s] and commands of an experiment, as a table."""
+    columns = ("time_s", *(f.name for f in schema.command))
+    rows = np.column_stack(experiment)
+    write_table(path, [dict(zip(columns, row, strict=True)) for row in rows])
 
 
 def read_statement(folder: Path) -> dict[str, Any]:

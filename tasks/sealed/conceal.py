@@ -17,7 +17,8 @@ from simgap.formats.folders import remove_file, remove_folder
 from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks.params import ArmParams, ConcealParams, FolderParams
+from tasks.params import ArmParams, ConcealParams, FolderParams, TiesParams
+from tasks.sealed.ties import ties
 from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 
 ROWS, PIECES = 241, 8
@@ -58,6 +59,8 @@ def write(
             made = _real(draw, case_draw, real())
         case "arm":
             made = _arm(params.arm, draw, case_draw)
+        case "ties":
+            made = _ties(workspace.root, params.ties, case_draw)
         case name:
             made = _suite(params, name, draw, case_draw)
     remove_file(workspace.manifest, workspace.root)  # first and last: without it there is no suite, whole or in part
@@ -163,7 +166,16 @@ def _arm(params: ArmParams, draw: np.random.Generator, case_draw: np.random.Gene
     return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
 
 
+def _ties(root: Path, params: TiesParams, case_draw: np.random.Generator) -> list[Made]:
+    """The ties of another suite, each with the experiment that its diagnosis prescribed."""
+    other = SealedWorkspace(root, params.of)
+    return [
+        Made(0, partial(tie.conceal, other.recordings(tie.case), params.repeats, int(case_draw.integers(2**62))))
+        for tie in ties(root, params)
+    ]
+
+
 def _config(params: ConcealParams) -> suite.Config:
-    values = params.model_dump(exclude={"seed", "round", "real", "arm"})
+    values = params.model_dump(exclude={"seed", "round", "real", "arm", "ties"})
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
     return suite.Config(**{**values, "effects": values["effects"] or tuple(FORMS)})

@@ -47,9 +47,18 @@ def judge(key: Key, statement: Statement | None, seconds: float | None, error: s
     row |= _improvement(key, statement) | _open_loop(key, statement) | _parameter(key, statement)
     if key["kind"] in ONE:
         row |= _of_one(key, effects, truth[0])
+    if "tied" in key:
+        row["settled"] = _settled(key, effects, truth)
     if key["kind"] in MANY:
         row["set_f1"] = set_f1(truth, [e["id"] for e in effects])
     return row
+
+
+def _settled(key: Key, effects: Sequence[Mapping[str, Any]], truth: Sequence[set[str]]) -> bool:
+    """Whether only right names of a tie are left: of the effects that carry one of its names, and in their sets."""
+    right = {name for names in truth for name in names}
+    left = [{e["id"], *e["credible_set"]} for e in effects if e["id"] in key["tied"]]
+    return bool(left) and all(names <= right for names in left)
 
 
 def set_f1(truth: Sequence[set[str]], named: Sequence[str]) -> float:

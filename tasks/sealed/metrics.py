@@ -74,6 +74,8 @@ def table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
         average("set F1, pairs", ".95", values(of("pair"), "set_f1"), np.mean, rng),
         average("set F1, triples", ".85", values(of("triple"), "set_f1"), np.mean, rng),
         average("outputs F1, where the name is right", ".98", values(known, "outputs_f1"), np.mean, rng),
+        share("ties settled by the prescribed experiment", "95 %", [r for r in rows if "settled" in r],
+              lambda r: r["settled"]),
         average("regime overlap", ".85", values(of("regime"), "regime_overlap"), np.mean, rng),
         average("onset error, median, where the name is right [steps]", "5",
                 values(known, "onset_error"), np.median, rng),

@@ -7,19 +7,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from prefect import task
 
-from concealed import seal, sessions
+from concealed import sessions
 from concealed.case import features, noise_of
 from concealed.plain import STATE, observer, refit, robot, whitened
 from concealed.strength import UNLIKE, UNSURE
 from simgap.formats import statements
 from simgap.formats.atomic import replacing_folder
-from simgap.formats.documents import read_bytes, read_json, write_json, write_table, write_text
+from simgap.formats.documents import read_json, write_json, write_table, write_text
 from simgap.formats.folders import remove_folder
 from simgap.types import SimgapError
 from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, history, metrics, report
 from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, judge, overlap, rows_of
+from tasks.sealed.ties import keys_of
 from tasks.sealed.workspace import EXAMINATION, SealedWorkspace
 from tasks.tracking.runs import Run
 
@@ -38,14 +39,8 @@ class Opened(NamedTuple):
 @task(task_run_name="open-{workspace.suite}")
 def open_keys(workspace: SealedWorkspace) -> Opened:
     """The keys; SimgapError where they are not those whose hashes were published."""
-    manifest = read_json(workspace.manifest)
-    if read_json(workspace.published) != manifest:
-        raise SimgapError(f"{workspace.published}: must be the manifest of the recordings, {workspace.manifest}.")
-    try:
-        keys = seal.unseal(read_bytes(workspace.sealed), read_bytes(workspace.secret), manifest["keys"])
-    except seal.BrokenSealError as error:
-        raise SimgapError(f"{workspace.sealed}: {error}") from None
-    return Opened(manifest, keys, _diagnosing(workspace, sorted(keys)))
+    keys = keys_of(workspace)
+    return Opened(read_json(workspace.manifest), keys, _diagnosing(workspace, sorted(keys)))
 
 
 def _diagnosing(workspace: SealedWorkspace, cases: Sequence[str]) -> str:

@@ -7,9 +7,12 @@ from tasks import names
 
 EXAMINATION = "examination"
 ARM = "arm"
-SUITES = ("development", EXAMINATION, "engine", "real", ARM)
+TIES = "ties"
+SUITES = ("development", EXAMINATION, "engine", "real", ARM, TIES)
 BEFORE, AFTER = "before", "after"
 """Folders of a case whose question is what changed."""
+RECORDED, PRESCRIBED = "recorded", "prescribed"
+"""Folders of a case with the sessions of an experiment that a diagnosis prescribed."""
 MODEL = "robot.xml"
 """The model of the machine, in the folder of a case that has one; else it is the Spot."""
 
@@ -48,9 +51,9 @@ class SealedWorkspace:
         return self.cases / names.check(case, "a case")
 
     def recordings(self, case: str) -> Path:
-        """A case's sessions; those after, where there are some from before a change."""
-        after = self.case(case) / AFTER
-        return after if after.exists() else self.case(case)
+        """A case's sessions; those after, where there are some from before a change, and without those prescribed."""
+        folders = (self.case(case) / name for name in (AFTER, RECORDED))
+        return next((folder for folder in folders if folder.exists()), self.case(case))
 
     @property
     def manifest(self) -> Path:
@@ -109,6 +112,10 @@ class SealedWorkspace:
     def statement(self, case: str) -> Path:
         """What was said of a case."""
         return self.examination(case) / "diagnosis.json"
+
+    def experiment(self, case: str) -> Path:
+        """The commands that its diagnosis prescribes, where it does."""
+        return self.examination(case) / "experiment.csv"
 
     def record(self, case: str) -> Path:
         """Fingerprint, seconds and, if it failed, why."""
