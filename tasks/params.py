@@ -173,7 +173,7 @@ class TiesParams(Strict):
     """Experiments that diagnoses prescribed, made with the robots of their cases."""
 
     of: Literal["development", "examination"] = Field(description="The examined suite whose ties are settled.")
-    repeats: Cases = Field(ge=1, description="Sessions of each experiment, from different places.")
+    repeats: SessionFiles = Field(description="Sessions of each experiment, from different places.")
 
 
 class ConcealParams(Strict):
