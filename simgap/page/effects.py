@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from simgap.diagnosis.report.wording import acts
 from simgap.page import numbers, wording
 from simgap.page.figures import Figures, source
 
@@ -20,7 +21,7 @@ def summary(effect: Values) -> dict[str, Any]:
         "places": places[:_PLACES],
         "more": max(len(places) - _PLACES, 0),
         "probability": _probability(effect),
-        "when": acts(effect),
+        "when": acts(effect.get("support")),
     }
 
 
@@ -86,7 +87,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         "channels": effect.get("channels") or [],
         "outputs": effect.get("outputs") or [],
         "gains": gains,
-        "acts": acts(effect),
+        "acts": acts(effect.get("support")),
         "credible": [wording.title(m) for m in effect.get("credible_set") or []],
         "laws": [
             {
@@ -104,18 +105,6 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
 def _shows(law: Values, effect: Values) -> bool:
     """Whether a figure is of this effect; other effects may have the same id at another site."""
     return law["effect"] == effect["id"] and all(law.get(key) == effect.get(key) for key in ("form", "where"))
-
-
-def acts(effect: Values) -> str:
-    """Where and when an effect acts; empty if it always acts."""
-    match effect.get("support"):
-        case {"kind": "regime", "regime": regime}:
-            return f"where {regime}"
-        case {"kind": "from", "from_s": from_s}:
-            return f"from {numbers.fixed(from_s, 1)} s on"
-        case {"kind": "window", "session": session, "from_s": from_s, "to_s": to_s}:
-            return f"from {numbers.fixed(from_s, 1)} to {numbers.fixed(to_s, 1)} s of {session}"
-    return ""
 
 
 def _probability(effect: Values) -> str:

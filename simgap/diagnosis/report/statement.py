@@ -168,7 +168,7 @@ def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> 
     return {
         "id": hypothesis.effect.id, "form": hypothesis.effect.form, "where": hypothesis.where,
         "probability": member.odds[hypothesis.effect.id], "channels": list(hypothesis.channels),
-        "outputs": list(outputs), "statement": wording.effect(hypothesis, constants) + wording.acts(support),
+        "outputs": list(outputs), "statement": wording.effect(hypothesis, constants, support),
         "constants": constants, "credible_set": credible_set(member.odds),
         "gain_nats": member.gain, "misfit_nats": member.misfit,
         "heldout_gain_nats": gain(problem, found.unseen, evaluate(problem, member.without.v, ()), found.fit),

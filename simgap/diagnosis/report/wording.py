@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
@@ -24,26 +24,26 @@ def quantity(constant: dict[str, Any]) -> str:
     return f"{number(constant['value'])}{unit}"
 
 
-def effect(hypothesis: Hypothesis, constants: list[dict[str, Any]]) -> str:
-    """One effect: its law with its constants, and where it acts."""
+def effect(hypothesis: Hypothesis, constants: list[dict[str, Any]], support: Mapping[str, Any]) -> str:
+    """One effect: its law with its constants, and where and when it acts."""
     text = hypothesis.effect.says.format(**{c["name"]: quantity(c) for c in constants})
     # Along one axis of a body that turns, an effect shows in two outputs.
     shown = (hypothesis.where,) if hypothesis.where in hypothesis.outputs else hypothesis.outputs
-    if hypothesis.effect.place == "engine" and len(hypothesis.sites) == 1 and hypothesis.where != "all":
-        return f"{text[0].upper()}{text[1:]} ({hypothesis.where})."  # a joint, an actuator or a body by its own name
-    where = ", ".join(hypothesis.channels or shown) or hypothesis.where
-    return f"{text[0].upper()}{text[1:]} ({where})."
+    # A joint, an actuator or a body of an engine by its own name.
+    own = hypothesis.effect.place == "engine" and len(hypothesis.sites) == 1 and hypothesis.where != "all"
+    where = hypothesis.where if own else ", ".join(hypothesis.channels or shown) or hypothesis.where
+    return f"{text[0].upper()}{text[1:]} ({where})." + f" It acts only {acts(support)}." * bool(acts(support))
 
 
-def acts(support: dict[str, Any]) -> str:
-    """Where and when an effect acts, if not throughout."""
+def acts(support: Mapping[str, Any] | None) -> str:
+    """Where and when an effect acts: `where reach > 0.9 m`; empty if it always does."""
     match support:
         case {"kind": "regime", "regime": regime}:
-            return f" It acts only where {regime}."
+            return f"where {regime}"
         case {"kind": "from", "from_s": from_s}:
-            return f" It acts from {from_s:.1f} s on in every session."
+            return f"from {from_s:.1f} s on in every session"
         case {"kind": "window", "session": session, "from_s": from_s, "to_s": to_s}:
-            return f" It acts only from {from_s:.1f} s to {to_s:.1f} s of session {session}."
+            return f"from {from_s:.1f} s to {to_s:.1f} s of session {session}"
     return ""
 
 
