@@ -319,11 +319,11 @@ def test_a_law_without_a_name_is_listed_term_by_term() -> None:
              {"axis": "ee_vz", "depends_on": ["reach"], "gain_nats": 17.0}]  # fmt: skip
     assert "an unexplained push" not in text(page(diagnosis, evidence))
     said = text(page(diagnosis | {"nonparametric": terms}, evidence))
-    assert "on base_vx: base_x and base_y 41.3 nats" in said
+    assert "on base_vx, depending on base_x and base_y 41.3 nats" in said
     assert "In addition, an unexplained push acts on the machine" in said
     unnamed = text(page(diagnosis | {"nonparametric": terms, "effects": []}, evidence))
     assert "An unexplained push acts on the machine" in unnamed
-    assert "on ee_vz: reach 17.0 nats" in said
+    assert "on ee_vz, depending on reach 17.0 nats" in said
 
 
 def test_nothing_missing_says_so_in_every_section(pages: dict[str, str]) -> None:
