@@ -130,8 +130,12 @@ def with_value(v: Variables, group: Group, value: float) -> Variables:
 
 def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
     """Innovations in the observed outputs' own units; zero in rows that are not scored."""
-    _, e = filtered(problem.augmented, problem.scales, v, problem.chunks)
-    return np.where(np.asarray(problem.chunks.counts)[..., None], e, np.float32(0))
+    return np.where(np.asarray(problem.chunks.counts)[..., None], _innovations(problem, v), np.float32(0))
+
+
+def _innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
+    """The same, with whatever the filter gives in rows that are not scored."""
+    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks)[1])
 
 
 def estimates(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
@@ -144,7 +148,7 @@ def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n 
 
     Not vectorised: each value then pays for its own laws only, and vectorising would gain nothing.
     """
-    return np.stack(side_by_side(lambda v: decorrelate(problem, raw_innovations(problem, v)), vs))
+    return np.stack(side_by_side(lambda v: decorrelate(problem, _innovations(problem, v)), vs))
 
 
 def row_trials(problem: Problem, v: Variables, thetas: Sequence[Float[np.ndarray, " P"]]) -> Float[np.ndarray, "M n s"]:
@@ -162,6 +166,9 @@ def decorrelate(problem: Problem, raw: Any) -> Float[np.ndarray, "... n s"]:
 
 def side_by_side(function: Callable, items: Iterable) -> list:
     """Applies the function to every item on `THREADS` threads; results in order."""
+    items = list(items)
+    if len(items) < 2:
+        return [function(item) for item in items]
     with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(function, items))
 

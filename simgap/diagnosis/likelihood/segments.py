@@ -117,7 +117,9 @@ def bare(chunks: Chunks) -> Chunks:
 
 def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
     """The scored rows of e, in order: [..., n, s]."""
-    return np.asarray(e)[..., np.asarray(chunks.counts), :]
+    e = np.asarray(e)
+    rows = e.reshape(*e.shape[:-3], -1, e.shape[-1])
+    return rows.take(np.flatnonzero(np.asarray(chunks.counts)), axis=-2)  # a fifth of the time of a Boolean index
 
 
 class Rows(NamedTuple):
