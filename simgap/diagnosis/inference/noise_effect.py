@@ -73,3 +73,8 @@ class NoiseEffect(NamedTuple):
     heldout_gain: float
     odds: dict[str, float]
     shown: Between | Widening | Spectrum
+
+    @property
+    def predictable(self) -> bool:
+        """Whether innovations with it can be predicted in part: an oscillation, or outlier rows."""
+        return self.rare or isinstance(self.shown, Spectrum)

@@ -69,8 +69,7 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
     """`named`: whether an effect is named. `more`: whether one is possible, or the black box gains significantly."""
     if named:
         return "missing_physics"
-    # Periodic noise and outlier rows can be predicted in part.
-    explained = any(s.id == "gait_oscillation" or s.rare for s in found.noise_effects)
+    explained = any(effect.predictable for effect in found.noise_effects)
     unnamed = bool(found.whiteness.nats.any() or found.law.terms) and not explained
     if more or unnamed:
         return "unexplained"
