@@ -170,8 +170,6 @@ class ArmParams(Strict):
 
 
 class TiesParams(Strict):
-    """Experiments that diagnoses prescribed, made with the robots of their cases."""
-
     of: Literal["development", "examination"] = Field(description="The examined suite whose ties are settled.")
     repeats: SessionFiles = Field(description="Sessions of each experiment, from different places.")
 

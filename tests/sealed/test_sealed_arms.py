@@ -56,7 +56,7 @@ def test_another_model_is_another_case(workspace: SealedWorkspace) -> None:
 
 def statement(replay: dict[str, float], **more: Any) -> dict[str, Any]:
     """What a diagnosis might have said."""
-    return {"verdict": "nothing", "effects": [], "located": {"regimes": []}, "fit": {"models": {}},
+    return {"schema": 2, "verdict": "nothing", "effects": [], "located": {"regimes": []}, "fit": {"models": {}},
             "parameters": {"fitted": {}}, "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
             **more}  # fmt: skip
 

@@ -9,11 +9,12 @@ import yaml
 
 from concealed import sessions
 from concealed.experiment import STILL, experiment
-from flows.sealed import conceal
+from flows.sealed import conceal, examine
 from flows.sealed.examiner import recordings_of
 from simgap.formats.documents import read_json, write_json, write_text
 from simgap.types import SimgapError
 from tasks.params import SealedParams, load_sealed
+from tasks.sealed import score
 from tasks.sealed.judge import judge
 from tasks.sealed.ties import keys_of, tied_names
 from tasks.sealed.workspace import PRESCRIBED, RECORDED, SealedWorkspace
@@ -68,6 +69,16 @@ def test_a_tie_has_what_was_recorded_and_the_experiment(other: SealedWorkspace, 
     assert not command[:, :STILL].any()
     assert len({x.tobytes() for x in measured}) == 3, "from different places, with different noise"
     assert recordings_of(other.case(before)) == [other.case(before)], "where nothing was prescribed, the case itself"
+
+
+def test_a_tie_is_diagnosed_with_both_and_scored(workspace: SealedWorkspace, params: SealedParams) -> None:
+    examine.run("ties", params, workspace.root)
+    (case,) = keys_of(workspace)
+    assert read_json(workspace.record(case))["error"] is None
+    said = read_json(workspace.statement(case))
+    assert len(said["recordings"]["training_sessions"]) + len(said["recordings"]["heldout_sessions"]) == 4 + 3
+    (row,) = score.rows.fn(workspace, score.open_keys.fn(workspace), lambda *_: None)
+    assert row["settled"] == (row["told"] == "delay" and said["effects"][0]["credible_set"] == ["delay"])
 
 
 def test_the_robot_of_the_experiment_has_the_effect_of_the_case(other: SealedWorkspace) -> None:

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simgap.diagnosis.config import NO_ONSET
+from simgap.diagnosis.hypotheses.support import From, Window
 from simgap.diagnosis.inference.scan import onset
 from simgap.diagnosis.likelihood.segments import Rows
 
@@ -23,9 +24,8 @@ def test_the_onset_gains_what_the_best_of_all_onsets_does(seed: int, lengths: li
     later = [t for t in np.unique(time_s[mine]) if NO_ONSET * last < t < (1 - NO_ONSET) * last or (in_one and t == 0)]
     best = max((gain(mine & (time_s >= t)) - gain(time_s >= 0) for t in later), default=0.0)
 
-    when, more = onset(rows, score, power, 0 if in_one else None)
-    assert when.session == (0 if in_one else None)
-    assert when.to_s == np.inf
+    support, more = onset(rows, score, power, 0 if in_one else None)
+    assert support == (Window(0, support.from_s, np.inf) if in_one else From(support.from_s))
     assert np.isclose(more, max(best, 0.0))
     if best > 0:
-        assert np.isclose(gain(mine & (time_s >= when.from_s)) - gain(time_s >= 0), more)
+        assert np.isclose(gain(mine & (time_s >= support.from_s)) - gain(time_s >= 0), more)

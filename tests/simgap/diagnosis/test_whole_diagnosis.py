@@ -192,7 +192,7 @@ def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable,
 def test_what_has_no_name_is_told_by_what_it_leaves_over_and_depends_on() -> None:
     """Of by_heading; the hand's memory along z, refitted, foretells by_speed_and_turn as far as its past does."""
     told = nameless(by_heading).statement
-    assert {o["name"] for o in told["left_over"]["outputs"]} & {"ee_x", "ee_vx", "ee_y", "ee_vy"}
+    assert {o["name"] for o in told["whiteness"]["outputs"]} & {"ee_x", "ee_vx", "ee_y", "ee_vy"}
     assert told["located"]["depends_on"]
 
 
