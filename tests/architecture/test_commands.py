@@ -41,7 +41,8 @@ COVERED = {
         "sealed/test_sealed_suite.py::test_an_examinations", 'score.run.fn("examination"'),
     r"python -m flows\.sealed\.\w+ arm.*": (
         "sealed/test_sealed_arms.py::test_a_case_is_diagnosed", 'examine.run("arm"'),
-    r"python -m flows\.sealed\.\w+ ties.*": ("sealed/test_sealed_ties.py::test_a_tie_is_diagnosed", 'examine.run("ties"'),
+    r"python -m flows\.sealed\.\w+ ties.*": (
+        "sealed/test_sealed_ties.py::test_a_tie_is_diagnosed", 'examine.run("ties"'),
     r"prefect deployment run sweep/.*": (
         "flows/test_operate.py::test_cancelling", '"prefect", "deployment", "run", "sweep/'),
     r"(SIMGAP_CLUSTER=.* )?python -m flows\.sweep .*": (REPRO, '"flows.sweep", "--name"'),
