@@ -21,8 +21,8 @@ FOLLOWS, UNUSUAL = 0.7, 5.0
 UNITS: Mapping[str, float] = {"degrees and radians": 180 / np.pi, "revolutions a minute and rad/s": 30 / np.pi,
                               "millimetres and metres": 1000, "centimetres and metres": 100}  # fmt: skip
 UNIT_GAIN = 1.3
-"""Gain that the machine may have besides a factor between units: half way (as a ratio) from degrees and radians to
-centimetres and metres."""
+"""Largest factor by which a machine's own gain may change a factor between units: half way, as a ratio, from degrees
+and radians (57) to centimetres and metres (100)."""
 
 
 class Survey(NamedTuple):

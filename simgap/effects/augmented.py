@@ -154,10 +154,10 @@ class Law(NamedTuple):
     on: Bool[Array, ""] | None
 
     def __call__(self, nil: Any, *args: Any) -> Any:
-        """The law applied to its arguments; `nil` where it does not act."""
+        """Apply the law to its arguments; returns `nil` if it is off."""
         return where(self.on, lambda: self.effect.law(self.c, *args), nil)
 
 
 def where(on: Bool[Array, ""] | None, value: Callable[[], Any], nil: Any) -> Any:
-    """The value where `on` holds, computed only there; `nil`, of the same shapes, elsewhere. `on` of None holds."""
+    """Return `value()` if `on` is true or None, else `nil` of the same shapes; `value` runs only if it is needed."""
     return value() if on is None else jax.lax.cond(on, value, lambda: nil)

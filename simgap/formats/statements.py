@@ -29,16 +29,16 @@ def read(path: Path) -> dict[str, Any]:
 
 def upgraded(statement: Mapping[str, Any]) -> dict[str, Any]:
     """A statement of layout 1 in layout 2; parts that it lacks stay absent."""
-    new = _renamed(statement, _PARTS) | {"schema": SCHEMA}
+    new: dict[str, Any] = _renamed(statement, _PARTS) | {"schema": SCHEMA}
     for part, change in (
         ("effects", lambda effects: [_effect(e) for e in effects]),
         ("closest_matches", lambda effects: [_effect(e) for e in effects]),
         ("parameters", lambda parameters: _renamed(parameters, _PARAMETERS)),
         ("sensitivity", lambda seen: _renamed(seen, _SENSITIVITY)),
         ("rounds", lambda rounds: [_renamed(r, {"candidates": "hypotheses"}) for r in rounds]),
-        ("located", lambda located: _located(located)),
-        ("fit", lambda fit: _fit(fit)),
-        ("replay", lambda replay: _replay(replay)),
+        ("located", _located),
+        ("fit", _fit),
+        ("replay", _replay),
     ):
         if new.get(part):
             new[part] = change(new[part])

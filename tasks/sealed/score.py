@@ -20,7 +20,7 @@ from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, history, metrics, report
 from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, judge, overlap, rows_of
-from tasks.sealed.ties import keys_of
+from tasks.sealed.keys import opened
 from tasks.sealed.workspace import EXAMINATION, SealedWorkspace
 from tasks.tracking.runs import Run
 
@@ -39,8 +39,8 @@ class Opened(NamedTuple):
 @task(task_run_name="open-{workspace.suite}")
 def open_keys(workspace: SealedWorkspace) -> Opened:
     """The keys; SimgapError where they are not those whose hashes were published."""
-    keys = keys_of(workspace)
-    return Opened(read_json(workspace.manifest), keys, _diagnosing(workspace, sorted(keys)))
+    manifest, keys = opened(workspace)
+    return Opened(manifest, keys, _diagnosing(workspace, sorted(keys)))
 
 
 def _diagnosing(workspace: SealedWorkspace, cases: Sequence[str]) -> str:

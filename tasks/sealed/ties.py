@@ -1,6 +1,5 @@
 """Suite `ties`: of cases whose name was a tie, the robot once more in the experiment that the diagnosis prescribed."""
 
-import csv
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from concealed import seal, sessions
+from concealed import sessions
 from concealed.experiment import experiment
 from simgap.formats import statements
-from simgap.formats.documents import read_bytes, read_json
 from simgap.types import SimgapError
 from tasks.params import TiesParams
 from tasks.sealed.judge import MANY, ONE
+from tasks.sealed.keys import opened
 from tasks.sealed.workspace import PRESCRIBED, RECORDED, SealedWorkspace
 
 
@@ -36,28 +35,18 @@ class Tie(NamedTuple):
         return {**self.key, "tied": self.tied}
 
 
-def keys_of(workspace: SealedWorkspace) -> dict[str, dict[str, Any]]:
-    """The keys of a suite; SimgapError where they are not those whose hashes were published."""
-    manifest = read_json(workspace.manifest)
-    if read_json(workspace.published) != manifest:
-        raise SimgapError(f"{workspace.published}: must be the manifest of the recordings, {workspace.manifest}.")
-    try:
-        return seal.unseal(read_bytes(workspace.sealed), read_bytes(workspace.secret), manifest["keys"])
-    except seal.BrokenSealError as error:
-        raise SimgapError(f"{workspace.sealed}: {error}") from None
-
-
 def ties(root: Path, params: TiesParams) -> list[Tie]:
     """Every tie of the suite `params.of`; SimgapError where there is none."""
     workspace = SealedWorkspace(root, params.of)
     found = []
-    for case, key in sorted(keys_of(workspace).items()):
+    for case, key in sorted(opened(workspace)[1].items()):
         path = workspace.experiment(case)
         if key["kind"] not in (*ONE, *MANY) or "seed" not in key or _over(key) or not path.exists():
             continue
         tied = tied_names(key, statements.read(workspace.statement(case)))
         if tied:
-            found.append(Tie(case, key, tied, _commands(path)))
+            commands = np.loadtxt(path, delimiter=",", skiprows=1)[:, 1:]
+            found.append(Tie(case, key, tied, commands))
     if not found:
         raise SimgapError(f"{workspace.examinations}: no examined case is a tie with an experiment that may settle it.")
     return found
@@ -74,10 +63,3 @@ def _over(key: Mapping[str, Any]) -> bool:
     """Whether an effect acted during the recordings only: no later experiment shows it."""
     once = (key["when"] or {}).get("session") is not None
     return once or any(c["name"] == "to" for effect in key["effects"] for c in effect["constants"])
-
-
-def _commands(path: Path) -> np.ndarray:
-    """The commands of an experiment, without their times."""
-    with path.open(newline="") as file:
-        _, *rows = csv.reader(file)
-    return np.array(rows, float)[:, 1:]

@@ -110,11 +110,11 @@ def test_a_case_is_diagnosed_by_its_own_model(tmp_path: Path) -> None:
     conceal.run.fn("arm", params, tmp_path)
     examine.run("arm", params, tmp_path)
     (name,) = read_json(workspace.manifest)["keys"]
-    told = read_json(workspace.statement(name))
+    result = read_json(workspace.statement(name))
     (row,) = stage_rows(workspace)
-    assert told["simulator"].endswith(MODEL)
-    assert told["parameters"]["units"]["kp base"] == "N m/rad"
-    assert {p["name"] for p in told["replay"]["positions"]} == {"base_pos", "shoulder_pos", "elbow_pos"}
+    assert result["simulator"].endswith(MODEL)
+    assert result["parameters"]["units"]["kp base"] == "N m/rad"
+    assert {p["name"] for p in result["replay"]["positions"]} == {"base_pos", "shoulder_pos", "elbow_pos"}
     assert row["error"] is None
     assert row["open_loop"] < row["open_loop_nominal"]
 

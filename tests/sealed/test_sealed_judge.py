@@ -27,36 +27,36 @@ def effect(name: str, probability: float = 0.99, credible: tuple[str, ...] = (),
             "constants": [{"name": "limit", "value": -0.52, "unit": "m/s", "ci95": [-0.55, -0.49]}]}  # fmt: skip
 
 
-def told(verdict: str, *effects: dict[str, Any], augmented: float | None = None) -> dict[str, Any]:
+def stated(verdict: str, *effects: dict[str, Any], augmented: float | None = None) -> dict[str, Any]:
     models = {"refitted": 0.2, "black_box": 0.18, **({"augmented": augmented} if augmented else {})}
     return {"verdict": verdict, "effects": list(effects), "located": {"regimes": []},
             "fit": {"models": {m: {"error_50": {"value": v}} for m, v in models.items()}}}  # fmt: skip
 
 
-def row(key: dict[str, Any], told: dict[str, Any] | None, error: str | None = None) -> dict[str, Any]:
-    found = {"case": "0", **judge(key, told, 1.0, error)}
+def row(key: dict[str, Any], stated: dict[str, Any] | None, error: str | None = None) -> dict[str, Any]:
+    found = {"case": "0", **judge(key, stated, 1.0, error)}
     return {**found, "fault": metrics.fault(found)}
 
 
 @pytest.mark.parametrize(
     ("truth", "said", "fault"),
     [
-        (key("null"), told("parameters_only"), ""),
-        (key("null"), told("inconclusive"), ""),
-        (key("null"), told("unexplained"), "false alarm"),
-        (key("null"), told("missing_physics", effect("gain")), "false alarm"),
-        (key("single", "saturation"), told("missing_physics", effect("saturation")), ""),
-        (key("single", "gain", also=("viscous_drag",)), told("missing_physics", effect("viscous_drag")), ""),
-        (key("single", "saturation"), told("missing_physics", effect("gain")), "surely wrong"),
-        (key("single", "saturation"), told("missing_physics", effect("gain", 0.6)), "wrong name"),
-        (key("single", "saturation"), told("missing_physics", effect("gain", 0.96, ("saturation",))), "wrong name"),
-        (key("single", "saturation"), told("nothing"), "nothing said"),
-        (key("single", "saturation", strength=3.0), told("nothing"), ""),
-        (key("pair", "lag", "slip"), told("missing_physics", effect("lag"), effect("slip")), ""),
-        (key("pair", "lag", "slip"), told("missing_physics", effect("lag")), "wrong set"),
-        (key("outside", "magnet"), told("unexplained"), ""),
-        (key("outside", "magnet"), told("missing_physics", effect("lag")), "name beyond words"),
-        (key("outside", "magnet"), told("parameters_only"), "not seen"),
+        (key("null"), stated("parameters_only"), ""),
+        (key("null"), stated("inconclusive"), ""),
+        (key("null"), stated("unexplained"), "false alarm"),
+        (key("null"), stated("missing_physics", effect("gain")), "false alarm"),
+        (key("single", "saturation"), stated("missing_physics", effect("saturation")), ""),
+        (key("single", "gain", also=("viscous_drag",)), stated("missing_physics", effect("viscous_drag")), ""),
+        (key("single", "saturation"), stated("missing_physics", effect("gain")), "surely wrong"),
+        (key("single", "saturation"), stated("missing_physics", effect("gain", 0.6)), "wrong name"),
+        (key("single", "saturation"), stated("missing_physics", effect("gain", 0.96, ("saturation",))), "wrong name"),
+        (key("single", "saturation"), stated("nothing"), "nothing said"),
+        (key("single", "saturation", strength=3.0), stated("nothing"), ""),
+        (key("pair", "lag", "slip"), stated("missing_physics", effect("lag"), effect("slip")), ""),
+        (key("pair", "lag", "slip"), stated("missing_physics", effect("lag")), "wrong set"),
+        (key("outside", "magnet"), stated("unexplained"), ""),
+        (key("outside", "magnet"), stated("missing_physics", effect("lag")), "name beyond words"),
+        (key("outside", "magnet"), stated("parameters_only"), "not seen"),
         (key("single", "lag"), None, "nothing said"),
     ],
 )
@@ -66,12 +66,12 @@ def test_faults(truth: dict[str, Any], said: dict[str, Any] | None, fault: str) 
 
 def test_a_case_that_broke_off_comes_first() -> None:
     broken = row(key("null"), None, "killed")
-    wolf = row(key("null"), told("unexplained"))
+    wolf = row(key("null"), stated("unexplained"))
     assert [r["fault"] for r in metrics.failures([wolf, broken])] == ["broke off", "false alarm"]
 
 
 def test_the_first_name_is_the_one_that_gains_most() -> None:
-    said = told("missing_physics", effect("gain", gain=10.0), effect("saturation", gain=90.0))
+    said = stated("missing_physics", effect("gain", gain=10.0), effect("saturation", gain=90.0))
     found = row(key("single", "saturation"), said)
     assert found["top1"]
     assert not found["alone"]
@@ -89,19 +89,19 @@ def test_a_right_name_at_another_joint_is_not_alone() -> None:
     for said, here, anywhere in (((at("elbow"),), True, True), ((at("elbow"), at("base")), False, True),
                                  ((at("elbow", "base"),), False, True), ((at("elbow"), effect("lag")), False, False),
                                  ((), False, False)):  # fmt: skip
-        assert row(truth, told("missing_physics", *said))["alone"] == here
-        assert row(everywhere, told("missing_physics", *said))["alone"] == anywhere
-    assert row(truth, told("missing_physics", at("elbow"), at("base")))["fault"] == "further name"
+        assert row(truth, stated("missing_physics", *said))["alone"] == here
+        assert row(everywhere, stated("missing_physics", *said))["alone"] == anywhere
+    assert row(truth, stated("missing_physics", at("elbow"), at("base")))["fault"] == "further name"
 
 
 def test_a_wrong_parameter_is_refitted_and_named_nothing() -> None:
     truth = {**key("parameters"), "verdicts": ["parameters_only"], "cause": "wrong kp", "parameter": ("kp elbow", 50.0)}
-    said = {**told("parameters_only"), "parameters": {"fitted": {"kp elbow": 48.0}}}
+    said = {**stated("parameters_only"), "parameters": {"fitted": {"kp elbow": 48.0}}}
     found = row(truth, said)
     assert found["parameter_error"] == pytest.approx(0.04)
     assert (found["truth"], found["fault"], found["confident_wrong"]) == ("wrong kp", "", False)
-    assert row(truth, told("nothing"))["fault"] == "not seen"
-    wrong = row(truth, told("missing_physics", effect("gain")))
+    assert row(truth, stated("nothing"))["fault"] == "not seen"
+    wrong = row(truth, stated("missing_physics", effect("gain")))
     assert (wrong["fault"], wrong["confident_wrong"]) == ("false alarm", True)
 
 
@@ -109,27 +109,27 @@ def test_errors_in_open_loop_are_in_terms_of_the_noise() -> None:
     """Of the model with the effects, or refitted where none is named."""
     truth, errors = {**key("single", "lag"), "floor": 2e-4}, {"nominal": 8e-4, "refitted": 6e-4, "augmented": 2e-4}
     replay = {"positions": [{"name": "a_pos", "errors": errors}, {"name": "b_pos", "errors": errors}]}
-    found = row(truth, {**told("missing_physics", effect("lag")), "replay": replay})
+    found = row(truth, {**stated("missing_physics", effect("lag")), "replay": replay})
     assert (found["open_loop"], found["open_loop_nominal"]) == (pytest.approx(1.0), pytest.approx(4.0))
     for position in replay["positions"]:
         position["errors"] = {name: e for name, e in errors.items() if name != "augmented"}
-    assert row(truth, {**told("parameters_only"), "replay": replay})["open_loop"] == pytest.approx(3.0)
-    assert "open_loop" not in row(truth, {**told("nothing"), "replay": None})
-    assert "open_loop" not in row(key("single", "lag"), {**told("nothing"), "replay": replay})
+    assert row(truth, {**stated("parameters_only"), "replay": replay})["open_loop"] == pytest.approx(3.0)
+    assert "open_loop" not in row(truth, {**stated("nothing"), "replay": None})
+    assert "open_loop" not in row(key("single", "lag"), {**stated("nothing"), "replay": replay})
 
 
 def test_constants_are_compared_by_size_and_their_interval_by_either_sign() -> None:
-    found = row(key("single", "saturation"), told("missing_physics", effect("saturation")))
+    found = row(key("single", "saturation"), stated("missing_physics", effect("saturation")))
     assert found["constant_error"] == pytest.approx(0.04)
     assert found["constant_held"]
     assert found["outputs_f1"] == pytest.approx(2 / 3)
 
 
 def test_the_share_of_the_improvement_is_of_what_the_true_form_makes() -> None:
-    found = row(key("single", "lag"), told("missing_physics", effect("lag"), augmented=0.14))
+    found = row(key("single", "lag"), stated("missing_physics", effect("lag"), augmented=0.14))
     assert found["share"] == pytest.approx(0.3 / 0.4)
     assert found["share_black_box"] == pytest.approx(0.1 / 0.4)
-    assert "share" not in row(key("null"), told("nothing"))
+    assert "share" not in row(key("null"), stated("nothing"))
 
 
 def test_f1_of_sets() -> None:
@@ -156,11 +156,11 @@ def test_intervals_of_shares() -> None:
 
 def test_the_table_counts_each_kind_by_itself() -> None:
     rows = [
-        row(key("null"), told("nothing")), row(key("null"), told("unexplained")),
-        row(key("single", "lag"), told("missing_physics", effect("lag"))),
-        row(key("single", "lag", strength=10.0), told("nothing")),
-        row(key("duel", "lag"), told("missing_physics", effect("delay"))),
-        row(key("outside", "magnet"), told("missing_physics", effect("lag"))),
+        row(key("null"), stated("nothing")), row(key("null"), stated("unexplained")),
+        row(key("single", "lag"), stated("missing_physics", effect("lag"))),
+        row(key("single", "lag", strength=10.0), stated("nothing")),
+        row(key("duel", "lag"), stated("missing_physics", effect("delay"))),
+        row(key("outside", "magnet"), stated("missing_physics", effect("lag"))),
     ]  # fmt: skip
     table = metrics.table(rows, np.random.default_rng(0))
     assert metrics.headline(table) == {"false_alarms": 0.5, "right_name": 1.0, "sure_wrong": 1 / 3}

@@ -16,7 +16,8 @@ from simgap.types import SimgapError
 from tasks.params import SealedParams, load_sealed
 from tasks.sealed import score
 from tasks.sealed.judge import judge
-from tasks.sealed.ties import keys_of, tied_names
+from tasks.sealed.keys import opened
+from tasks.sealed.ties import tied_names
 from tasks.sealed.workspace import PRESCRIBED, RECORDED, SealedWorkspace
 
 ROOT = Path(__file__).parents[2]
@@ -42,7 +43,7 @@ def other(tmp_path_factory: pytest.TempPathFactory, params: SealedParams) -> Sea
     """A suite of a delay, of which it was said that it may be a lag."""
     workspace = SealedWorkspace(tmp_path_factory.mktemp("ties"), "development")
     conceal.run.fn("development", params, workspace.root)
-    (case,) = keys_of(workspace)
+    (case,) = opened(workspace)[1]
     write_json(workspace.statement(case), statement("lag", "delay"))
     rows = [[k / 15, *row] for k, row in enumerate(COMMANDS.tolist())]
     header = ",".join(("time_s", *sessions.SPOT.command))
@@ -57,8 +58,8 @@ def workspace(other: SealedWorkspace, params: SealedParams) -> SealedWorkspace:
 
 
 def test_a_tie_has_what_was_recorded_and_the_experiment(other: SealedWorkspace, workspace: SealedWorkspace) -> None:
-    ((case, key),) = keys_of(workspace).items()
-    ((before, its_key),) = keys_of(other).items()
+    ((case, key),) = opened(workspace)[1].items()
+    ((before, its_key),) = opened(other)[1].items()
     assert key == {**its_key, "tied": ["lag", "delay"]}
     assert recordings_of(workspace.case(case)) == [workspace.case(case) / name for name in (RECORDED, PRESCRIBED)]
     for again, first in zip(sessions.read(workspace.recordings(case)), sessions.read(other.case(before)), strict=True):
@@ -73,17 +74,18 @@ def test_a_tie_has_what_was_recorded_and_the_experiment(other: SealedWorkspace, 
 
 def test_a_tie_is_diagnosed_with_both_and_scored(workspace: SealedWorkspace, params: SealedParams) -> None:
     examine.run("ties", params, workspace.root)
-    (case,) = keys_of(workspace)
+    (case,) = opened(workspace)[1]
     assert read_json(workspace.record(case))["error"] is None
-    said = read_json(workspace.statement(case))
-    assert len(said["recordings"]["training_sessions"]) + len(said["recordings"]["heldout_sessions"]) == 4 + 3
+    found = read_json(workspace.statement(case))
+    assert len(found["recordings"]["training_sessions"]) + len(found["recordings"]["heldout_sessions"]) == 4 + 3
     (row,) = score.rows.fn(workspace, score.open_keys.fn(workspace), lambda *_: None)
-    assert row["settled"] == (row["told"] == "delay" and said["effects"][0]["credible_set"] == ["delay"])
+    only_delay = row["told"] == "delay" and found["effects"][0]["credible_set"] == ["delay"]
+    assert row["settled"] == only_delay
 
 
 def test_the_robot_of_the_experiment_has_the_effect_of_the_case(other: SealedWorkspace) -> None:
     """A delay: the same runs without it move earlier."""
-    (key,) = keys_of(other).values()
+    (key,) = opened(other)[1].values()
     none = {**key, "effects": [{**effect, "magnitude": 0.0} for effect in key["effects"]]}
     late, prompt = (experiment(k, COMMANDS, 4, 7)[0] for k in (key, none))
     speed = lambda x: np.hypot(x[:, :, 3], x[:, :, 4]).mean(0)  # noqa: E731
@@ -94,16 +96,16 @@ def test_the_robot_of_the_experiment_has_the_effect_of_the_case(other: SealedWor
 
 
 def test_what_is_no_tie_is_not_repeated(other: SealedWorkspace, params: SealedParams) -> None:
-    (key,) = keys_of(other).values()
+    (key,) = opened(other)[1].values()
     assert tied_names(key, statement("lag", "delay")) == ["lag", "delay"]
     assert tied_names(key, statement("delay")) == []
     assert tied_names(key, statement("lag", "gain")) == [], "the right name is not among them: it is wrong, not tied"
-    (case,) = keys_of(other)
-    said = read_json(other.statement(case))
+    (case,) = opened(other)[1]
+    before = read_json(other.statement(case))
     write_json(other.statement(case), statement("delay"))
     with pytest.raises(SimgapError, match="no examined case is a tie"):
         conceal.run.fn("ties", params, other.root)
-    write_json(other.statement(case), said)
+    write_json(other.statement(case), before)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +114,7 @@ def test_what_is_no_tie_is_not_repeated(other: SealedWorkspace, params: SealedPa
 def test_a_tie_is_settled_where_only_the_right_name_is_left(
     other: SealedWorkspace, names: tuple[str, ...], settled: bool
 ) -> None:
-    (key,) = keys_of(other).values()
+    (key,) = opened(other)[1].values()
     row = judge({**key, "tied": ["lag", "delay"]}, statement(*names), 1.0, None)
     assert row["settled"] is settled
     assert "settled" not in judge(key, statement(*names), 1.0, None)

@@ -77,7 +77,7 @@ def statement(
     effects = [e for (_, e), named in zip(members, concluded.named, strict=True) if named]
     matches = [possible and not named for possible, named in zip(concluded.possible, concluded.named, strict=True)]
     closest = [e for (m, e), match in zip(members, matches, strict=True) if match and _matches(found, m, e)]
-    noise_effects = [_scattered(s) for s in found.noise_effects]
+    noise_effects = [_noise_effect(s) for s in found.noise_effects]
     if verdict == "missing_physics":
         effects += noise_effects
     else:
@@ -150,7 +150,7 @@ def _law(found: Explanation) -> list[dict[str, Any]]:
     return [{"axis": t.axis, "depends_on": list(t.depends_on), "gain_nats": t.gain} for t in found.law.terms]
 
 
-def _scattered(s: NoiseEffect) -> dict[str, Any]:
+def _noise_effect(s: NoiseEffect) -> dict[str, Any]:
     return {
         "id": s.id, **SCATTERED, "probability": s.odds[s.id], "channels": [], "outputs": list(s.outputs),
         "statement": s.statement, "constants": s.constants, "credible_set": credible_set(s.odds), "gain_nats": s.gain,

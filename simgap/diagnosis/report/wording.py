@@ -32,7 +32,8 @@ def effect(hypothesis: Hypothesis, constants: list[dict[str, Any]], support: Map
     # A joint, an actuator or a body of an engine by its own name.
     own = hypothesis.effect.place == "engine" and len(hypothesis.sites) == 1 and hypothesis.where != "all"
     where = hypothesis.where if own else ", ".join(hypothesis.channels or shown) or hypothesis.where
-    return f"{text[0].upper()}{text[1:]} ({where})." + f" It acts only {acts(support)}." * bool(acts(support))
+    limits = acts(support)
+    return f"{text[0].upper()}{text[1:]} ({where})." + (f" It acts only {limits}." if limits else "")
 
 
 def acts(support: Mapping[str, Any] | None) -> str:

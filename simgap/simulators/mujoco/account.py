@@ -69,7 +69,7 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
     """
     own, late, unwritten = {term.effect for term in engine.terms}, {kind: {} for kind in LATE}, []
     for effect in statement["effects"]:
-        always = effect["support"]["kind"] == "always"
+        always = effect["support"]["kind"] in ("always", "since_baseline")  # the model is of the machine as it is now
         if always and effect["id"] in late:
             (constant,) = effect["constants"]
             late[effect["id"]] |= {name.removeprefix("cmd_"): constant["value"] for name in effect["channels"]}

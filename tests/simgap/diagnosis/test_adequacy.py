@@ -92,7 +92,7 @@ def still(r: Recording) -> Recording:
 
 
 @cache
-def told(kind: str) -> dict[str, Any]:
+def stated(kind: str) -> dict[str, Any]:
     training, heldout = sessions({}, RICH)
     if kind == "short":
         training, heldout = ([Recording(r.name, r.time_s[:5], r.state[:5], r.command[:5]) for r in some]
@@ -103,7 +103,7 @@ def told(kind: str) -> dict[str, Any]:
 
 
 def test_sessions_of_five_rows_are_too_little() -> None:
-    said = told("short")
+    said = stated("short")
     assert said["verdict"] == "inconclusive"
     assert said["effects"] == said["closest_matches"] == []
     assert said["sensitivity"]["segments"] == 3
@@ -112,7 +112,7 @@ def test_sessions_of_five_rows_are_too_little() -> None:
 
 
 def test_where_nothing_moves_nothing_can_be_said() -> None:
-    said = told("still")
+    said = stated("still")
     assert said["verdict"] == "inconclusive"
     assert {"delay", "lag", "saturation"} <= set(said["sensitivity"]["undetectable_effects"])
     assert set(said["sensitivity"]["unexcited_channels"]) == {f.name for f in AS_IT_IS.schema.command}
@@ -120,7 +120,7 @@ def test_where_nothing_moves_nothing_can_be_said() -> None:
 
 
 def test_nothing_says_what_it_would_have_found_and_at_what_size() -> None:
-    said = told("rich")
+    said = stated("rich")
     assert said["verdict"] == "nothing"
     sizes = {(v["effect"], v["where"]): v["size"] for v in said["sensitivity"]["effects"]}
     assert 0 < sizes["delay", "cmd_base_vx"] <= 0.5 / 15
@@ -132,7 +132,7 @@ def test_nothing_says_what_it_would_have_found_and_at_what_size() -> None:
 
 def test_an_effect_of_the_size_that_is_stated_is_found() -> None:
     """Three times the smallest size is a gain of nine times what is needed."""
-    (size,) = (v["size"] for v in told("rich")["sensitivity"]["effects"]
+    (size,) = (v["size"] for v in stated("rich")["sensitivity"]["effects"]
                if (v["effect"], v["where"]) == ("coulomb_friction", "base_vx"))  # fmt: skip
     said = diagnose(
         AS_IT_IS, "spot", Sessions(*sessions(acting("coulomb_friction", (3 * size,), (0,)), RICH))

@@ -40,10 +40,10 @@ def test_what_came_since_is_named_and_what_was_there_before_is_not() -> None:
 def test_of_a_change_the_change_is_told() -> None:
     found = since(acting("delay", (0.6,), (0, 1, 2)), BOTH | acting("gravity_sag", (0.0,)))
     (member,) = found.members
-    (told,) = constants(found.problem, found.fit, member.hypothesis, found.sd, member.gain)
-    assert told["unit"] == "s"
-    assert told["value"] == pytest.approx(0.8 / 15, rel=0.1)
-    assert told["ci95"][0] < 0.8 / 15 < told["ci95"][1]
+    (estimate,) = constants(found.problem, found.fit, member.hypothesis, found.sd, member.gain)
+    assert estimate["unit"] == "s"
+    assert estimate["value"] == pytest.approx(0.8 / 15, rel=0.1)
+    assert estimate["ci95"][0] < 0.8 / 15 < estimate["ci95"][1]
 
 
 def test_a_push_since_is_told_as_such() -> None:

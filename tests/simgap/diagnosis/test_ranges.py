@@ -107,6 +107,6 @@ class Known(Drive):
 
 def test_a_simulator_without_parameters_is_diagnosed() -> None:
     recordings = driven((2.5, 4.0))
-    told = diagnose(Known(parameters=()), "known", Sessions(recordings[:3], recordings[3:])).statement
-    assert told["parameters"]["nominal"] == told["parameters"]["fitted"] == {}
-    assert told["verdict"] in ("nothing", "inconclusive")
+    stated = diagnose(Known(parameters=()), "known", Sessions(recordings[:3], recordings[3:])).statement
+    assert stated["parameters"]["nominal"] == stated["parameters"]["fitted"] == {}
+    assert stated["verdict"] in ("nothing", "inconclusive")

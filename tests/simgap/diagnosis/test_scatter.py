@@ -1,4 +1,4 @@
-"""Scatter that is planted is told, stepping with its frequency; where none is, none is told."""
+"""Planted effects on the noise are found, stepping with its frequency; where none is planted, none is found."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,10 +29,10 @@ def shaken(recordings: list[Recording], output: int, hertz: float) -> list[Recor
     return out
 
 
-def told(
+def noise_effects_in(
     training: list[Recording], heldout: list[Recording], before: list[Recording] | None = None
 ) -> list[NoiseEffect]:
-    """What is told under the true simulator, by which nothing else is missing, and which a baseline has not."""
+    """Effects on the noise under the true simulator, which lacks nothing else; not those of a baseline as well."""
     bare = problem(training)
     v = start(bare)._replace(phi=jnp.asarray(PHI))
     of = bare._replace(whiten=whitening(evaluate(bare, v, ()).e))
@@ -41,8 +41,8 @@ def told(
 
 
 def stepping(*sets: list[Recording]) -> list[NoiseEffect]:
-    """What is told of it, whatever else is."""
-    return [s for s in told(*sets) if s.id == "gait_oscillation"]
+    """The oscillations found, whatever else is."""
+    return [s for s in noise_effects_in(*sets) if s.id == "gait_oscillation"]
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_where_nothing_shakes_no_stepping_is_told(seed: int) -> None:
 @pytest.mark.parametrize("seed", [11, 12])
 def test_noise_of_the_sensors_is_not_taken_for_scatter_that_grows_with_the_motion(seed: int) -> None:
     """What a noisy sensor says of the motion of a row holds the row's own noise."""
-    assert not told(*sessions({}, seed, noise=16.0))
+    assert not noise_effects_in(*sessions({}, seed, noise=16.0))
 
 
 def test_scatter_that_grows_with_the_motion_is_told() -> None:
@@ -97,7 +97,7 @@ def test_scatter_that_grows_with_the_motion_is_told() -> None:
         speed = np.abs(r.state[:, [3, 4, 5, 9, 10, 11]]).mean(1, keepdims=True)
         return r._replace(state=r.state + 3 * speed * SENSOR * rng.normal(size=r.state.shape))
 
-    (found,) = told(*([noisy(r) for r in part] for part in sessions({}, RICH)))
+    (found,) = noise_effects_in(*([noisy(r) for r in part] for part in sessions({}, RICH)))
     assert found.id == "motion_dependent_noise"
     assert found.heldout_gain > 0
 
@@ -111,7 +111,7 @@ def test_of_scatter_that_grows_with_one_bodys_motion_that_body_is_told() -> None
         state[:, own] += 3 * speed * SENSOR[own] * rng.normal(size=(len(state), len(own)))
         return r._replace(state=state)
 
-    (found,) = told(*([noisy(r) for r in part] for part in sessions({}, RICH)))
+    (found,) = noise_effects_in(*([noisy(r) for r in part] for part in sessions({}, RICH)))
     assert found.id == "motion_dependent_noise"
     assert found.outputs == tuple(f.name for f in SCHEMA.state[:6])
 
@@ -136,7 +136,7 @@ def uneven(r: Recording, seed: int) -> Recording:
 
 def test_rows_that_span_uneven_times_are_told() -> None:
     training, heldout = sessions({}, RICH)
-    (found,) = told([uneven(r, k) for k, r in enumerate(training)], [uneven(r, 9) for r in heldout])
+    (found,) = noise_effects_in([uneven(r, k) for k, r in enumerate(training)], [uneven(r, 9) for r in heldout])
     (jitter,) = found.constants
     assert found.id == "sampling_interval"
     assert jitter["value"] == pytest.approx(JITTER / RATE, rel=0.3)
@@ -147,7 +147,7 @@ def test_rows_that_span_uneven_times_are_told() -> None:
 def test_of_commands_that_are_lost_those_are_told_that_are(channels: range, body: str) -> None:
     share = np.zeros(6)
     share[list(channels)] = 0.08
-    (found,) = told(*sessions({}, RICH, lost=share))
+    (found,) = noise_effects_in(*sessions({}, RICH, lost=share))
     assert found.id == "dropout"
     assert set(found.outputs) == {f.name for f in SCHEMA.state if f.body == body or not body}
     assert found.gain > 30

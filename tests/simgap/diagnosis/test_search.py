@@ -99,7 +99,7 @@ def test_planted_effects_are_named_with_their_constants(
     sd = found.sd.constants
     for k, (constant, group) in enumerate(zip(KEYS[key].constants, member.hypothesis.groups, strict=True)):
         value, planted = float(found.fit.v.theta[group.entries[0]]), constants[k]
-        if key == "ground_contact":  # its height is told from the recorded ones
+        if key == "ground_contact":  # its height is relative to the recorded ones
             value = constant.physical(value, 0, found.problem.scales)
             planted = constant.physical(planted, 0, SCALES)
         elif key == "sensor_bias":
@@ -227,8 +227,8 @@ def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, 
     (member,) = found.members
     assert member.hypothesis.effect.key == key
     assert found.supports == (member.hypothesis.support,)
-    truth, told = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, *found.regimes))
-    assert (truth & told).sum() > 0.85 * (truth | told).sum()
+    truth, estimated = (inside(SPOT.layout, r, found.problem.chunks) for r in (regime, *found.regimes))
+    assert (truth & estimated).sum() > 0.85 * (truth | estimated).sum()
     value, sd = value_of(found.fit.v, member.hypothesis.groups[0]), found.sd.constants[0]
     assert value == pytest.approx(constant, abs=max(0.1 * abs(constant), 3 * sd))
     acts = found.acting(found.known())

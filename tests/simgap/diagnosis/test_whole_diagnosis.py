@@ -32,9 +32,9 @@ def nothing() -> Diagnosis:
 
 
 def test_a_planted_delay_is_told() -> None:
-    told = delayed().statement
-    assert told["verdict"] == "missing_physics"
-    (effect,) = told["effects"]
+    stated = delayed().statement
+    assert stated["verdict"] == "missing_physics"
+    (effect,) = stated["effects"]
     assert effect["id"] == "delay"
     assert effect["channels"] == ["cmd_base_vx", "cmd_base_vy", "cmd_base_wz"]
     assert effect["outputs"] == ["base_vx", "base_vy", "base_wz"]
@@ -45,7 +45,7 @@ def test_a_planted_delay_is_told() -> None:
     low, high = constant["ci95"]
     assert low - 0.002 < 1.4 / 15 < high + 0.002
     assert "dead time" in effect["statement"].lower()
-    assert effect["statement"] in told["statement"]
+    assert effect["statement"] in stated["statement"]
 
 
 def test_a_planted_delay_is_credible_and_nothing_else_is() -> None:
@@ -83,11 +83,11 @@ def test_the_mismatch_is_where_the_delay_acts() -> None:
 
 
 def test_the_experiment_separates_the_delay_from_its_rival() -> None:
-    told, planned = delayed().statement["experiment"], delayed().experiment
-    assert told is not None
+    stated, planned = delayed().statement["experiment"], delayed().experiment
+    assert stated is not None
     assert planned is not None
-    assert told["separates"][0] == "delay"
-    assert told["separates"][1] != "delay"
+    assert stated["separates"][0] == "delay"
+    assert stated["separates"][1] != "delay"
     time_s, commands = planned
     assert commands.shape == (len(time_s), 6)
     np.testing.assert_allclose(np.diff(time_s), 1 / 15)
@@ -111,20 +111,20 @@ def test_the_model_is_the_augmented_simulator() -> None:
 
 @pytest.mark.parametrize("case", [delayed, nothing])
 def test_the_statement_is_json_with_all_keys(case) -> None:
-    told = case().statement
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
-    assert set(told) >= {
+    stated = case().statement
+    assert json.loads(json.dumps(stated, allow_nan=False)) == stated
+    assert set(stated) >= {
         "schema", "simulator", "verdict", "located", "effects", "alternatives", "experiment", "parameters", "fit",
         "statement", "closest_matches", "whiteness",
     }  # fmt: skip
-    assert told["schema"] == 2
-    assert told["simulator"] == "spot"
-    assert set(told["located"]) >= {"outputs", "regimes", "intervals"}
-    assert set(told["parameters"]) >= {"nominal", "fitted"}
-    assert set(told["fit"]) >= {"heldout_sessions", "models", "explained_share"}
+    assert stated["schema"] == 2
+    assert stated["simulator"] == "spot"
+    assert set(stated["located"]) >= {"outputs", "regimes", "intervals"}
+    assert set(stated["parameters"]) >= {"nominal", "fitted"}
+    assert set(stated["fit"]) >= {"heldout_sessions", "models", "explained_share"}
     names = [p.name for p in SPOT.parameters]
-    assert list(told["parameters"]["nominal"]) == list(told["parameters"]["fitted"]) == names
-    for effect in told["effects"]:
+    assert list(stated["parameters"]["nominal"]) == list(stated["parameters"]["fitted"]) == names
+    for effect in stated["effects"]:
         assert set(effect) >= {
             "id", "probability", "channels", "outputs", "statement", "constants", "credible_set", "gain_nats",
         }  # fmt: skip
@@ -147,28 +147,28 @@ def test_all_rows_of_the_pictures_have_their_sizes(case) -> None:
 
 
 def test_where_nothing_is_missing_nothing_is_claimed() -> None:
-    told = nothing().statement
-    assert told["verdict"] == "nothing"
-    assert told["effects"] == []
-    assert told["alternatives"] == []
-    assert told["experiment"] is None
+    stated = nothing().statement
+    assert stated["verdict"] == "nothing"
+    assert stated["effects"] == []
+    assert stated["alternatives"] == []
+    assert stated["experiment"] is None
     assert nothing().experiment is None
-    assert told["located"]["outputs"] == told["located"]["regimes"] == told["located"]["intervals"] == []
+    assert stated["located"]["outputs"] == stated["located"]["regimes"] == stated["located"]["intervals"] == []
     assert not nothing().model.theta.any()
-    assert "nothing is missing" in told["statement"].lower()
+    assert "nothing is missing" in stated["statement"].lower()
 
 
 def test_a_wrong_parameter_is_told_as_such() -> None:
     phi = PHI.copy()
     phi[0], phi[20] = 0.15, 1.5
-    told = diagnose(SPOT, "spot", Sessions(*sessions({}, RICH, phi=phi))).statement
-    assert told["verdict"] == "parameters_only"
-    assert told["effects"] == []
-    before, after = told["parameters"]["nominal"], told["parameters"]["fitted"]
-    assert before["alpha_1"] == pytest.approx(0.5)
-    assert after["alpha_1"] == pytest.approx(0.15, abs=0.05)
-    assert after["gamma_3"] == pytest.approx(1.5, abs=0.05)
-    low, high = told["parameters"]["ci95"]["gamma_3"]
+    stated = diagnose(SPOT, "spot", Sessions(*sessions({}, RICH, phi=phi))).statement
+    assert stated["verdict"] == "parameters_only"
+    assert stated["effects"] == []
+    nominal, fitted = stated["parameters"]["nominal"], stated["parameters"]["fitted"]
+    assert nominal["alpha_1"] == pytest.approx(0.5)
+    assert fitted["alpha_1"] == pytest.approx(0.15, abs=0.05)
+    assert fitted["gamma_3"] == pytest.approx(1.5, abs=0.05)
+    low, high = stated["parameters"]["ci95"]["gamma_3"]
     assert low - 0.02 < 1.5 < high + 0.02
 
 
@@ -183,17 +183,17 @@ def nameless(law: Callable[[jax.Array], jax.Array]) -> Diagnosis:
 
 @pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
 def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable, outputs: set[str]) -> None:
-    told = nameless(law).statement
-    assert told["verdict"] == "unexplained"
-    assert told["effects"] == []
-    assert outputs & {o["name"] for o in told["located"]["outputs"]}
+    stated = nameless(law).statement
+    assert stated["verdict"] == "unexplained"
+    assert stated["effects"] == []
+    assert outputs & {o["name"] for o in stated["located"]["outputs"]}
 
 
 def test_what_has_no_name_is_told_by_what_it_leaves_over_and_depends_on() -> None:
     """Of by_heading; the hand's memory along z, refitted, foretells by_speed_and_turn as far as its past does."""
-    told = nameless(by_heading).statement
-    assert {o["name"] for o in told["whiteness"]["outputs"]} & {"ee_x", "ee_vx", "ee_y", "ee_vy"}
-    assert told["located"]["depends_on"]
+    stated = nameless(by_heading).statement
+    assert {o["name"] for o in stated["whiteness"]["outputs"]} & {"ee_x", "ee_vx", "ee_y", "ee_vy"}
+    assert stated["located"]["depends_on"]
 
 
 # Sessions

@@ -43,24 +43,31 @@ def model(engine: MujocoEngine, **terms: float) -> Any:
 
 def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine) -> None:
     nearer = rescaled(engine, 1 / 110)
-    told = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml")
+    result = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml")
     words = "The model's position servos are about 110 times too stiff (kp)."
-    assert told["verdict"] == "parameters_only"
-    assert [told[key][0].startswith(words) for key in ("warnings", "notes")] == [True, True]
-    assert told["statement"].startswith(f"{words} The diagnosis takes the model with kp divided by 110 as the nominal")
-    assert "parameters were off and are refitted" in told["statement"]
-    assert told["parameters"]["nominal"]["kp pan"] == 60
-    assert told["parameters"]["fitted"]["kp pan"] == pytest.approx(60 / 110)
-    kp = {c["element"]: float(c["after"]) for c in told["patched"]["changes"]}
+    assert result["verdict"] == "parameters_only"
+    assert [result[key][0].startswith(words) for key in ("warnings", "notes")] == [True, True]
+    assert result["statement"].startswith(
+        f"{words} The diagnosis takes the model with kp divided by 110 as the nominal"
+    )
+    assert "parameters were off and are refitted" in result["statement"]
+    assert result["parameters"]["nominal"]["kp pan"] == 60
+    assert result["parameters"]["fitted"]["kp pan"] == pytest.approx(60 / 110)
+    kp = {c["element"]: float(c["after"]) for c in result["patched"]["changes"]}
     assert kp == pytest.approx(
         {f"actuator {a}": k / 110 for a, k in (("pan", 60), ("shoulder", 80), ("elbow", 40))}, rel=1e-4
     )
 
 
 def test_a_model_that_is_not_stays_what_it_was_said_to_be(engine: MujocoEngine) -> None:
-    told = account(engine, model(engine), statement(engine, "nothing"), "arm.patched.xml")
-    assert (told["verdict"], told["statement"], told["warnings"], told["notes"]) == ("nothing", "Nothing.", [], [])
-    assert told["patched"] is None
+    result = account(engine, model(engine), statement(engine, "nothing"), "arm.patched.xml")
+    assert (result["verdict"], result["statement"], result["warnings"], result["notes"]) == (
+        "nothing",
+        "Nothing.",
+        [],
+        [],
+    )
+    assert result["patched"] is None
 
 
 def effect(id: str, where: str, outputs: list[str], **more: Any) -> dict[str, Any]:
@@ -76,15 +83,15 @@ def test_only_named_effects_are_written(engine: MujocoEngine) -> None:
         effect("payload", "forearm", [f"{j}_{what}" for j in JOINTS for what in ("pos", "vel")]),
         effect("delay", "cmd_pan", [], channels=["cmd_pan"], constants=[{"name": "delay", "value": 0.03}]),
     ]
-    told = account(
+    result = account(
         engine,
         model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.2, payload_forearm=0.4),
         statement(engine, "missing_physics", effects=[named], closest_matches=matches),
         "arm.patched.xml",
     )
-    changes = [(c["element"], c["attribute"], c["after"]) for c in told["patched"]["changes"]]
+    changes = [(c["element"], c["attribute"], c["after"]) for c in result["patched"]["changes"]]
     assert changes == [("joint pan", "frictionloss", "0.3")]
-    assert told["patched"]["unwritten"] == [
+    assert result["patched"]["unwritten"] == [
         f"{m['statement']} It is a closest match, which explains only part of the mismatch: its name is not certain."
         for m in matches
     ]
@@ -93,16 +100,24 @@ def test_only_named_effects_are_written(engine: MujocoEngine) -> None:
 def test_an_effect_that_joints_share_is_written_at_each(engine: MujocoEngine) -> None:
     shared = effect("coulomb_friction", "pan, elbow", ["pan_pos", "pan_vel", "elbow_pos", "elbow_vel"])
     late = effect("delay", "cmd_pan", [], channels=["cmd_pan"], constants=[{"name": "delay", "value": 0.03}])
-    told = account(
+    result = account(
         engine,
         model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.3, coulomb_friction_shoulder=0.1),
         statement(engine, "missing_physics", effects=[shared, late]),
         "arm.patched.xml",
     )
-    changes = [(c["element"], c["attribute"], c["after"]) for c in told["patched"]["changes"]]
+    changes = [(c["element"], c["attribute"], c["after"]) for c in result["patched"]["changes"]]
     assert changes == [
         ("joint pan", "frictionloss", "0.3"), ("joint elbow", "frictionloss", "0.3"), ("actuator pan", "delay", "0.03"),
     ]  # fmt: skip
+
+
+def test_what_changed_since_a_baseline_is_written_for_the_machine_is_as_it_is_now(engine: MujocoEngine) -> None:
+    since = {"channels": ["cmd_pan"], "constants": [{"name": "delay", "value": 0.03}]}
+    late = effect("delay", "cmd_pan", [], support={"kind": "since_baseline"}, **since)
+    found = account(engine, model(engine), statement(engine, "missing_physics", effects=[late]), "arm.patched.xml")
+    assert [c["attribute"] for c in found["patched"]["changes"]] == ["delay"]
+    assert found["patched"]["unwritten"] == []
 
 
 def test_what_mjcf_has_no_word_for_is_listed_with_the_reason(engine: MujocoEngine) -> None:
@@ -110,9 +125,9 @@ def test_what_mjcf_has_no_word_for_is_listed_with_the_reason(engine: MujocoEngin
         effect("backlash", "cmd_pan", []),
         effect("delay", "cmd_pan", [], support={"kind": "from", "from_s": 3.0}),
     ]
-    told = account(engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml")
-    assert told["patched"]["changes"] == []
-    assert told["patched"]["unwritten"] == [
+    result = account(engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml")
+    assert result["patched"]["changes"] == []
+    assert result["patched"]["unwritten"] == [
         "backlash on cmd_pan. MJCF cannot express it.",
         "delay on cmd_pan. MJCF can only express effects that always act.",
     ]
