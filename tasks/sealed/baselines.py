@@ -114,6 +114,31 @@ def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return [ours, refit, sindy, box]
 
 
+def of_arms(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """The same for arms: the model as it is, MuJoCo's toolbox (tasks/sealed/sysid.py) and the diagnosis.
+
+    Open-loop errors are medians, in the noise of positions. A parameter that is right is moved if it changed by more
+    than a tenth.
+    """
+    fitted = [r for r in rows if "sysid_moved" in r]
+    concealed = [r for r in fitted if r["kind"] not in ("null", "parameters")]
+    error = lambda name, some: _median([r[name] for r in some if name in r])  # noqa: E731
+    nulls = [r for r in fitted if r["kind"] == "null"]
+
+    def of(method: str, open_loop: str, moved: str | None, friction: float) -> dict[str, Any]:
+        share = lambda some: float(np.mean([r[moved] > 0 for r in some])) if moved and some else 0.0  # noqa: E731
+        return {"method": method, "open-loop error on nulls": error(open_loop, nulls),
+                "open-loop error with an effect": error(open_loop, concealed),
+                "nulls with a right parameter moved": share(nulls), "cases with an effect, likewise": share(concealed),
+                "joints with invented friction": friction}  # fmt: skip
+
+    invented = lambda r: r["told"].split("+").count("coulomb_friction") if "friction" not in r["truth"] else 0  # noqa: E731
+    return [of("the model as it is", "open_loop_nominal", None, 0.0),
+            of("mujoco.sysid, all parameters", "sysid_open_loop", "sysid_moved",
+               float(sum(r["sysid_friction"] for r in fitted))),
+            of("diagnosis", "open_loop", "moved", float(sum(map(invented, fitted))))]  # fmt: skip
+
+
 def _median(values: Sequence[float]) -> float:
     """Of those that are numbers; nan where none is."""
     found = [v for v in values if not np.isnan(v)]

@@ -19,6 +19,8 @@ SEEN = 3.0
 """Strength [nats] below which an effect can hardly be asked to be seen: such cases count for coverage only."""
 IMPROVES = 0.15
 """Share of the 50-step error that the true form must remove for a share of that to be measurable."""
+MOVED = 0.1
+"""A fit has moved a parameter that it changed by more than this share."""
 ONE = ("single", "duel", "regime", "onset", "engine", "real")
 """Kinds with one effect, or one cause."""
 MANY = ("pair", "triple")
@@ -169,6 +171,12 @@ def _parameter(key: Key, statement: Statement) -> Row:
         return {}
     name, true = key["parameter"]
     return {"parameter_error": abs(statement["parameters"]["fitted"][name] / true - 1)}
+
+
+def moved(nominal: Mapping[str, float], fitted: Mapping[str, float], key: Key) -> int:
+    """How many parameters a fit has changed by more than `MOVED`, though they are right in the user's model."""
+    wrong = key["parameter"][0] if key.get("parameter") else None
+    return sum(abs(fitted[name] / value - 1) > MOVED for name, value in nominal.items() if value and name != wrong)
 
 
 RULE = re.compile(r"^(.*) ([<>]) (-?[0-9.e+-]+)( \S+)?$")

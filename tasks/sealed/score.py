@@ -19,10 +19,13 @@ from simgap.types import SimgapError
 from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, history, metrics, report
 from tasks.sealed.examine import code_of
-from tasks.sealed.judge import Row, judge, overlap, rows_of
+from tasks.sealed.judge import Row, judge, moved, overlap, rows_of
 from tasks.sealed.keys import opened
-from tasks.sealed.workspace import EXAMINATION, SealedWorkspace
+from tasks.sealed.workspace import EXAMINATION, MODEL, SealedWorkspace
 from tasks.tracking.runs import Run
+
+SYSID = "sysid.json"
+"""Beside the statement of an arm: what another method made of the case."""
 
 
 class Opened(NamedTuple):
@@ -68,8 +71,7 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         statement = statements.read(workspace.statement(case)) if workspace.statement(case).exists() else None
         row = {"case": case, **judge(key, statement, record["seconds"], record["error"])}
         row["fault"] = metrics.fault(row)
-        if not workspace.has_models:
-            row |= _of_spot(workspace, case, key, statement)
+        row |= (_of_arm if workspace.has_models else _of_spot)(workspace, case, key, statement)
         found.append(row)
         report(len(found), {})
     return found
@@ -83,6 +85,24 @@ def _of_spot(workspace: SealedWorkspace, case: str, key: dict[str, Any], stateme
         rules = [r["regime"] for r in statement["located"]["regimes"]]
         row["regime_overlap"] = overlap(key["when"]["regime"], rules, features(state, command))
     return row
+
+
+def _of_arm(workspace: SealedWorkspace, case: str, key: dict[str, Any], statement: dict[str, Any] | None) -> Row:
+    """What only a model can be asked: which right parameters were moved, by the diagnosis and by MuJoCo's toolbox.
+
+    The toolbox's fit takes minutes and is kept with the diagnosis.
+    """
+    if statement is None:
+        return {}
+    from tasks.sealed.sysid import identified  # needs development dependencies
+
+    kept = workspace.examination(case) / SYSID
+    mark = read_json(workspace.record(case))["fingerprint"]
+    if not kept.exists() or read_json(kept)["fingerprint"] != mark:
+        folder, heldout = workspace.case(case), statement["fit"]["heldout_sessions"]
+        write_json(kept, {"fingerprint": mark, "row": identified(folder / MODEL, folder, heldout, key)})
+    parameters = statement["parameters"]
+    return {"moved": moved(parameters["nominal"], parameters["fitted"], key), **read_json(kept)["row"]}
 
 
 @task(task_run_name="report-{workspace.suite}")
@@ -109,7 +129,7 @@ def write(
         for row in failed[:drawn]:
             pictures[row["case"]] = f"failures/{row['case']}.png"
             _picture(workspace, row, opened.keys[row["case"]], folder / pictures[row["case"]], dpi)
-        others = [] if workspace.has_models else baselines.table(found)
+        others = baselines.of_arms(found) if workspace.has_models else baselines.table(found)
         text = report.markdown(about, found, table, others, failed, pictures)
         write_text(folder / "report.md", text)
         columns = list(dict.fromkeys(name for row in found for name in row))

@@ -56,8 +56,9 @@ def test_another_model_is_another_case(workspace: SealedWorkspace) -> None:
 
 def statement(replay: dict[str, float], **more: Any) -> dict[str, Any]:
     """What a diagnosis might have said."""
-    return {"schema": 2, "verdict": "nothing", "effects": [], "located": {"regimes": []}, "fit": {"models": {}},
-            "parameters": {"fitted": {}}, "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
+    return {"schema": 2, "verdict": "nothing", "effects": [], "located": {"regimes": []},
+            "fit": {"models": {}, "heldout_sessions": ["b"]},
+            "parameters": {"nominal": {"kp base": 60.0}, "fitted": {"kp base": 70.0}}, "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
             **more}  # fmt: skip
 
 
@@ -88,6 +89,11 @@ def test_scores_of_a_suite_of_arms(workspace: SealedWorkspace, monkeypatch: pyte
                  "in noise, median | 1 |"):  # fmt: skip
         assert line in text
     assert read_json(workspace.metrics) == {"false_alarms": 0.0, "right_name": 1.0, "sure_wrong": 0.0}
+    assert "| mujoco.sysid, all parameters |" in text
+    kept = [workspace.examination(name) / score.score.SYSID for name in manifest["keys"]]
+    before = [path.read_text() for path in kept]
+    assert all(row["moved"] == 1 and row["sysid_open_loop"] > 0 for row in stage_rows(workspace))
+    assert [path.read_text() for path in kept] == before, "the toolbox fitted a case again"
 
 
 def test_an_unknown_cause_and_an_empty_suite_are_refused(tmp_path: Path) -> None:

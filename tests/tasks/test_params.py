@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from simgap.formats.validation import check
 from simgap.types import ConfigError
-from tasks import forms
+from tasks import forms, params
 from tasks.params import load_params, load_sealed
 from tasks.ranges import RANGES
 
@@ -125,6 +126,13 @@ def keys(file: str) -> list[Leaf]:
     return found
 
 
+@pytest.fixture
+def _parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parsing takes most of the time of a check, and the files do not change."""
+    monkeypatch.setattr(params, "read_yaml", cache(params.read_yaml))
+
+
+@pytest.mark.usefixtures("_parsed_once")
 @pytest.mark.parametrize("file", LOAD)
 def test_no_number_may_be_absurd(file: str) -> None:
     """Every key refuses what is infinite, huge, of another kind or nested, and says which key it is."""
@@ -143,6 +151,7 @@ def without_kinds(message: str) -> str:
     return re.sub(r"\.(VirtualParams|FolderParams)", "", message)
 
 
+@pytest.mark.usefixtures("_parsed_once")
 @pytest.mark.parametrize("file", LOAD)
 def test_no_size_rate_or_decay_may_be_negative(file: str) -> None:
     """But where a sign has a meaning: places, directions, an entropy."""
