@@ -15,6 +15,8 @@ Row = dict[str, Any]
 TIME_STEP = 1 / 15
 SURE = 0.95
 """Probability from which on an answer is a confident one."""
+TIED = 2 / 3
+"""Probability up to which a name counts as one of a tie: odds of two to one at most."""
 SEEN = 3.0
 """Strength [nats] below which an effect can hardly be asked to be seen: such cases count for coverage only."""
 IMPROVES = 0.15
@@ -52,7 +54,8 @@ def judge(key: Key, statement: Statement | None, seconds: float | None, error: s
     if "tied" in key:
         row["settled"] = _settled(key, effects, truth)
     if key["kind"] in MANY:
-        row["set_f1"] = set_f1(truth, [e["id"] for e in effects])
+        row["set_f1"] = set_f1(truth, [{e["id"]} for e in effects])
+        row["set_f1_tied"] = set_f1(truth, [_names(e) for e in effects])
     return row
 
 
@@ -63,11 +66,16 @@ def _settled(key: Key, effects: Sequence[Mapping[str, Any]], truth: Sequence[set
     return bool(left) and all(names <= right for names in left)
 
 
-def set_f1(truth: Sequence[set[str]], named: Sequence[str]) -> float:
-    """F1 of a set of names, each effect to be named once."""
+def _names(effect: Mapping[str, Any]) -> set[str]:
+    """Names that a statement gives an effect: all of its credible set where it declares a tie."""
+    return {effect["id"], *(effect["credible_set"] if effect["probability"] <= TIED else ())}
+
+
+def set_f1(truth: Sequence[set[str]], named: Sequence[set[str]]) -> float:
+    """F1 of a set of effects, each with the names that are given to it, and to be named once."""
     left, hits = list(truth), 0
-    for name in named:
-        hit = next((t for t in left if name in t), None)
+    for names in named:
+        hit = next((t for t in left if names & t), None)
         if hit is not None:
             left.remove(hit)
             hits += 1
@@ -84,6 +92,7 @@ def _of_one(key: Key, effects: Sequence[Mapping[str, Any]], right: set[str]) -> 
     first = effects[0] if effects else None
     row: Row = {
         "named": first is not None, "top1": first is not None and first["id"] in right,
+        "tied": first is not None and bool(_names(first) & right),
         "alone": _alone(key["effects"][0], effects, right),
         "covered": any(set(e["credible_set"]) & right for e in effects) if effects else math.nan,
         "set_size": len(first["credible_set"]) if first else math.nan,

@@ -56,10 +56,13 @@ def test_another_model_is_another_case(workspace: SealedWorkspace) -> None:
 
 def statement(replay: dict[str, float], **more: Any) -> dict[str, Any]:
     """What a diagnosis might have said."""
-    return {"schema": 2, "verdict": "nothing", "effects": [], "located": {"regimes": []},
-            "fit": {"models": {}, "heldout_sessions": ["b"]},
-            "parameters": {"nominal": {"kp base": 60.0}, "fitted": {"kp base": 70.0}}, "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
-            **more}  # fmt: skip
+    return {
+        "schema": 2, "verdict": "nothing", "effects": [], "located": {"regimes": []},
+        "fit": {"models": {}, "heldout_sessions": ["b"]},
+        "parameters": {"nominal": {"kp base": 60.0}, "fitted": {"kp base": 70.0}},
+        "replay": {"positions": [{"name": "base_pos", "errors": replay}]},
+        **more,
+    }  # fmt: skip
 
 
 def test_scores_of_a_suite_of_arms(workspace: SealedWorkspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,6 +78,21 @@ def test_the_first_name_is_the_one_that_gains_most() -> None:
     assert found["extra"] == 1
 
 
+def test_a_declared_tie_is_counted_by_itself() -> None:
+    """A name that is given at even odds with the right one; at odds of six to one it is a wrong name, not a tie."""
+    lag = key("single", "lag")
+    names = [("lag", 0.99, (), (True, True)), ("delay", 0.5, ("lag",), (False, True)),
+             ("delay", 0.85, ("lag",), (False, False)), ("delay", 0.5, ("gain",), (False, False))]  # fmt: skip
+    for name, probability, alternatives, counts in names:
+        said = effect(name, probability, alternatives)
+        found = row(lag, stated("missing_physics", said))
+        assert (found["top1"], found["tied"]) == counts
+    two = row(key("pair", "lag", "slip"), stated("missing_physics", effect("delay", 0.5, ("lag",)), effect("slip")))
+    assert (two["set_f1"], two["set_f1_tied"]) == (0.5, 1.0)
+    both = row(key("pair", "lag", "slip"), stated("missing_physics", effect("delay", 0.5, ("lag", "slip"))))
+    assert both["set_f1_tied"] == pytest.approx(2 / 3), "one effect is one hit, however many names it has"
+
+
 def test_a_right_name_at_another_joint_is_not_alone() -> None:
     """Where the key says which commands an effect acts on; one at all of them may be told joint by joint."""
 
@@ -133,10 +148,10 @@ def test_the_share_of_the_improvement_is_of_what_the_true_form_makes() -> None:
 
 
 def test_f1_of_sets() -> None:
-    assert set_f1([{"a"}, {"b", "c"}], ["c", "a"]) == 1.0
-    assert set_f1([{"a"}, {"b"}], ["a"]) == pytest.approx(2 / 3)
-    assert set_f1([{"a"}, {"a"}], ["a", "a"]) == 1.0
-    assert set_f1([{"a"}], ["a", "b", "d"]) == 0.5
+    assert set_f1([{"a"}, {"b", "c"}], [{"c"}, {"a"}]) == 1.0
+    assert set_f1([{"a"}, {"b"}], [{"a"}]) == pytest.approx(2 / 3)
+    assert set_f1([{"a"}, {"a"}], [{"a"}, {"a"}]) == 1.0
+    assert set_f1([{"a"}], [{"a"}, {"b"}, {"d"}]) == 0.5
 
 
 def test_regimes_overlap_by_rows() -> None:
