@@ -6,7 +6,6 @@ fits the parameters that it is given and looks for no effect.
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's names are native code, unknown to type checkers.
-import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
@@ -48,7 +47,6 @@ def identified(model: Path, recordings: Path, heldout: Collection[str], key: Map
     right and were changed (see `judge.moved`). sysid_friction: joints without friction that are said to have some.
     """
     logging.set_verbosity(logging.ERROR)  # it warns in every fit that states are no sensors
-    began = time.perf_counter()
     spec = mujoco.MjSpec.from_file(str(model))
     joints = [joint.name for joint in spec.joints]
     sessions = {path.stem: _read(path, joints) for path in sorted(recordings.glob("*.csv"))}
@@ -66,7 +64,6 @@ def identified(model: Path, recordings: Path, heldout: Collection[str], key: Map
         "sysid_open_loop": float(np.sqrt(np.mean(np.square(np.concatenate(errors))))) / key["floor"],
         "sysid_moved": moved(nominal, values, key),
         "sysid_friction": sum(values[f"frictionloss {j}"] > CLAIMED for j in joints if j not in dry),
-        "sysid_seconds": time.perf_counter() - began,
     }
 
 
