@@ -121,22 +121,20 @@ def of_arms(rows: Sequence[Row]) -> list[dict[str, Any]]:
     than a tenth.
     """
     fitted = [r for r in rows if "sysid_moved" in r]
-    concealed = [r for r in fitted if r["kind"] not in ("null", "parameters")]
-    error = lambda name, some: _median([r[name] for r in some if name in r])  # noqa: E731
     nulls = [r for r in fitted if r["kind"] == "null"]
+    concealed = [r for r in fitted if r["kind"] not in ("null", "parameters")]
 
-    def of(method: str, open_loop: str, moved: str | None, friction: float) -> dict[str, Any]:
-        share = lambda some: float(np.mean([r[moved] > 0 for r in some])) if moved and some else 0.0  # noqa: E731
-        return {"method": method, "open-loop error on nulls": error(open_loop, nulls),
-                "open-loop error with an effect": error(open_loop, concealed),
+    def of(method: str, open_loop: str, moved: str = "", friction: str = "") -> dict[str, Any]:
+        error = lambda some: _median([r[open_loop] for r in some if open_loop in r])  # noqa: E731
+        share = lambda some: float(np.mean([r.get(moved, 0) > 0 for r in some])) if some else np.nan  # noqa: E731
+        return {"method": method, "open-loop error on nulls": error(nulls),
+                "open-loop error with an effect": error(concealed),
                 "nulls with a right parameter moved": share(nulls), "cases with an effect, likewise": share(concealed),
-                "joints with invented friction": friction}  # fmt: skip
+                "joints with invented friction": sum(r.get(friction, 0) for r in fitted)}  # fmt: skip
 
-    invented = lambda r: r["told"].split("+").count("coulomb_friction") if "friction" not in r["truth"] else 0  # noqa: E731
-    return [of("the model as it is", "open_loop_nominal", None, 0.0),
-            of("mujoco.sysid, all parameters", "sysid_open_loop", "sysid_moved",
-               float(sum(r["sysid_friction"] for r in fitted))),
-            of("diagnosis", "open_loop", "moved", float(sum(map(invented, fitted))))]  # fmt: skip
+    return [of("the model as it is", "open_loop_nominal"),
+            of("mujoco.sysid, all parameters", "sysid_open_loop", "sysid_moved", "sysid_friction"),
+            of("diagnosis", "open_loop", "moved", "friction")]  # fmt: skip
 
 
 def _median(values: Sequence[float]) -> float:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -186,6 +186,12 @@ def moved(nominal: Mapping[str, float], fitted: Mapping[str, float], key: Key) -
     """How many parameters a fit has changed by more than `MOVED`, though they are right in the user's model."""
     wrong = key["parameter"][0] if key.get("parameter") else None
     return sum(abs(fitted[name] / value - 1) > MOVED for name, value in nominal.items() if value and name != wrong)
+
+
+def invented_friction(joints: Iterable[str], key: Key) -> int:
+    """How many of the joints that are said to have dry friction have none; no channels in the key mean all joints."""
+    dry = [e["channels"] for e in key["effects"] if "coulomb_friction" in e["accept"]]
+    return sum(not any(not channels or f"cmd_{joint}" in channels for channels in dry) for joint in set(joints))
 
 
 RULE = re.compile(r"^(.*) ([<>]) (-?[0-9.e+-]+)( \S+)?$")

@@ -19,13 +19,14 @@ from simgap.types import SimgapError
 from tasks.params import SealedScoreParams
 from tasks.sealed import baselines, figures, history, metrics, report
 from tasks.sealed.examine import code_of
-from tasks.sealed.judge import Row, judge, moved, overlap, rows_of
+from tasks.sealed.judge import Row, invented_friction, judge, moved, overlap, rows_of
 from tasks.sealed.keys import opened
 from tasks.sealed.workspace import EXAMINATION, MODEL, SealedWorkspace
 from tasks.tracking.runs import Run
 
 SYSID = "sysid.json"
-"""Beside the statement of an arm: what another method made of the case."""
+"""File in the folder of an arm's diagnosis: the results of MuJoCo's toolbox on the same case."""
+FRICTION = "coulomb_friction"
 
 
 class Opened(NamedTuple):
@@ -88,21 +89,30 @@ def _of_spot(workspace: SealedWorkspace, case: str, key: dict[str, Any], stateme
 
 
 def _of_arm(workspace: SealedWorkspace, case: str, key: dict[str, Any], statement: dict[str, Any] | None) -> Row:
-    """What only a model can be asked: which right parameters were moved, by the diagnosis and by MuJoCo's toolbox.
-
-    The toolbox's fit takes minutes and is kept with the diagnosis.
-    """
+    """What only a model can be asked: which right parameters were moved and where friction is invented, by the
+    diagnosis and by MuJoCo's toolbox."""
     if statement is None:
         return {}
+    parameters = statement["parameters"]
+    joints = (c.removeprefix("cmd_") for e in statement["effects"] if e["id"] == FRICTION for c in e["channels"])
+    return {
+        "moved": moved(parameters["nominal"], parameters["fitted"], key),
+        "friction": invented_friction(joints, key),
+        **_by_toolbox(workspace, case, key, statement["fit"]["heldout_sessions"]),
+    }
+
+
+def _by_toolbox(workspace: SealedWorkspace, case: str, key: dict[str, Any], heldout: Sequence[str]) -> Row:
+    """The toolbox's results. Its fit takes minutes, so they are kept with the diagnosis whose sessions they share."""
     from tasks.sealed.sysid import identified  # needs development dependencies
 
-    kept = workspace.examination(case) / SYSID
-    mark = read_json(workspace.record(case))["fingerprint"]
-    if not kept.exists() or read_json(kept)["fingerprint"] != mark:
-        folder, heldout = workspace.case(case), statement["fit"]["heldout_sessions"]
-        write_json(kept, {"fingerprint": mark, "row": identified(folder / MODEL, folder, heldout, key)})
-    parameters = statement["parameters"]
-    return {"moved": moved(parameters["nominal"], parameters["fitted"], key), **read_json(kept)["row"]}
+    path, mark = workspace.examination(case) / SYSID, read_json(workspace.record(case))["fingerprint"]
+    kept: dict[str, Any] = read_json(path) if path.exists() else {}
+    if kept.get("fingerprint") != mark:
+        folder = workspace.case(case)
+        kept = {"fingerprint": mark, "row": identified(folder / MODEL, folder, heldout, key)}
+        write_json(path, kept)
+    return kept["row"]
 
 
 @task(task_run_name="report-{workspace.suite}")

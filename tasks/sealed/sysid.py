@@ -20,7 +20,7 @@ from absl import logging
 from jaxtyping import Float
 from mujoco import rollout, sysid
 
-from tasks.sealed.judge import Row, moved
+from tasks.sealed.judge import Row, invented_friction, moved
 
 RANGES = {"kp": (1 / 3, 3.0), "damping": (0.1, 10.0), "armature": (0.25, 4.0), "mass": (0.7, 1 / 0.7)}
 """How far parameters may move, in shares of the model's values."""
@@ -59,11 +59,10 @@ def identified(model: Path, recordings: Path, heldout: Collection[str], key: Map
     values = dict(zip(fitted.keys(), fitted.as_vector().tolist(), strict=True))
     corrected = sysid.apply_param_modifiers(fitted, spec.copy())
     errors = [_replay_errors(corrected, sessions[name], len(joints)) for name in sorted(heldout)]
-    dry = {j for j in joints if _has_friction(key, j)}
     return {
         "sysid_open_loop": float(np.sqrt(np.mean(np.square(np.concatenate(errors))))) / key["floor"],
         "sysid_moved": moved(nominal, values, key),
-        "sysid_friction": sum(values[f"frictionloss {j}"] > CLAIMED for j in joints if j not in dry),
+        "sysid_friction": invented_friction((j for j in joints if values[f"frictionloss {j}"] > CLAIMED), key),
     }
 
 
@@ -149,9 +148,3 @@ def _replay_errors(model: mujoco.MjModel, session: _Session, joints: int) -> Flo
     steps = (len(command) - 1) // (len(session.time_s) - 1)
     positions = np.asarray(states)[0, steps - 1 :: steps, 1 : 1 + joints]  # the first column is the time
     return (positions - session.measured[1:, :joints]).ravel()
-
-
-def _has_friction(key: Mapping[str, Any], joint: str) -> bool:
-    """Whether the true robot has friction at a joint; no channels in the key mean all joints."""
-    frictions = [e for e in key["effects"] if "coulomb_friction" in e["accept"]]
-    return any(not e["channels"] or f"cmd_{joint}" in e["channels"] for e in frictions)

@@ -11,7 +11,7 @@ from concealed import sessions
 from concealed.arms import design
 from concealed.arms.operator import commands
 from concealed.form import Array
-from tasks.sealed.judge import moved
+from tasks.sealed.judge import invented_friction, moved
 from tasks.sealed.sysid import identified
 
 JOINTS, ROWS, STEPS, FRICTION, FLOOR = 3, 80, 10, 0.3, 1e-4
@@ -32,7 +32,7 @@ def recorded(model: mujoco.MjModel, command: Array) -> Array:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three sessions of an arm with friction at its shoulder, which the model beside them lacks."""
+    """Three sessions of an arm with friction at its shoulder, which its model lacks."""
     rng = np.random.default_rng(0)
     text = design.model(design.draw(JOINTS, rng))
     spec = mujoco.MjSpec.from_string(text)
@@ -57,3 +57,9 @@ def test_a_parameter_that_is_wrong_in_the_model_may_move() -> None:
     nominal, fitted = {"kp a": 10.0, "kp b": 10.0, "armature a": 0.0}, {"kp a": 12.0, "kp b": 10.5, "armature a": 1.0}
     assert moved(nominal, fitted, NONE) == 1
     assert moved(nominal, fitted, {**NONE, "parameter": ("kp a", 12.0)}) == 0
+
+
+def test_friction_is_invented_where_the_robot_has_none() -> None:
+    everywhere = {**DRY, "effects": [{"accept": ["coulomb_friction"], "channels": []}]}
+    said = ["shoulder", "elbow", "elbow"]
+    assert [invented_friction(said, key) for key in (DRY, everywhere, NONE)] == [1, 0, 2]
