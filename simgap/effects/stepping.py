@@ -96,5 +96,9 @@ def _rows(engine: Engine, *given: np.ndarray) -> np.ndarray:
     if batched[1].ndim == 1:
         return engine.rows(phi, *(a[None] for a in batched))[0].astype(np.float32)
     count = max(len(a) for a in batched)
-    rows = (np.broadcast_to(a, (count, *a.shape[1:])) for a in batched)
-    return engine.rows(phi.reshape(-1, phi.shape[-1])[0], *rows).astype(np.float32)
+    rows = [np.broadcast_to(a, (count, *a.shape[1:])) for a in batched]
+    # Batches are filled up by repetition: equal rows are stepped once.
+    flat = np.hstack([a.reshape(count, -1) for a in rows])
+    first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)[1:]
+    then = engine.rows(phi.reshape(-1, phi.shape[-1])[0], *(a[first] for a in rows))
+    return then[back.ravel()].astype(np.float32)

@@ -3,18 +3,17 @@
 The engine is evaluated once per row; the search then uses the tables thousands of times.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from simgap.engines import Engine, Table
 
 STEP = 1e-3
 """Difference step of a state or a command, as a share of its standard deviation; in double precision."""
-LOG_STEP = 1e-2
-"""Difference step of a parameter, which is a logarithm."""
+LOG_STEP = 1e-3
+"""Difference step of a parameter, which is a logarithm; of a term, as a share of its value."""
 EFFORT = 1e-3
 """Difference step of an effort [N m or N]. Engines are linear in efforts, except at contacts and limits."""
 LEAST = 1e-6
@@ -30,30 +29,58 @@ class Points(NamedTuple):
     command: Float[np.ndarray, "n parts u"]
 
 
-def tabulate(engine: Engine, points: Points) -> Table:
+class Inputs(NamedTuple):
+    """Inputs that may leave the points, besides states and parameters: commands, efforts, and which of the terms."""
+
+    commands: bool
+    efforts: bool
+    terms: Bool[np.ndarray, " k"]
+
+
+def tabulate(engine: Engine, points: Points, moving: Inputs | None = None) -> Table:
     """The engine near these points, in single precision. Where it diverges, derivatives are zero and the next state is
-    the state itself."""
+    the state itself.
+
+    moving: which inputs get derivatives (None: all). Those of the others are zero; each would take another evaluation
+    of all rows. Differences are one-sided: the error of that is far below the error of a linear table.
+    """
     points = Points(*(np.asarray(a, np.float64) for a in points))
     phi, terms, state, command = points
     nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
     then = engine.rows(phi, terms, state, command, nil)
+    moving = moving or Inputs(True, True, np.ones(terms.shape[1], bool))
     spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
+    off = np.zeros_like(state)
 
-    def along(change: Callable[[float], Points], step: float) -> Float[np.ndarray, "n s"]:
-        up, down = (engine.rows(*change(d), nil) for d in (step, -step))
-        return (up - down) / (2 * step)
+    def along(moved: Points, step: float) -> Float[np.ndarray, "n s"]:
+        return (engine.rows(*moved, nil) - then) / step
 
-    by_state = [along(lambda d, i=i: points._replace(state=_moved(state, i, d)), h) for i, h in enumerate(spread[0])]
+    by_state = [along(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
     by_command = [
-        along(lambda d, j=j, i=i: points._replace(command=_moved(command, (j, i), d)), h)
+        along(points._replace(command=_moved(command, (j, i), h)), h) if moving.commands else off
         for j in range(engine.parts)
         for i, h in enumerate(spread[1])
     ]
-    by_phi = [along(lambda d, i=i: points._replace(phi=_moved(phi, i, d)), LOG_STEP) for i in range(len(phi))]
-    by_push = [by_effort(engine, phi, state, command, i, terms) for i in range(nil.shape[1])]
-    parabolas = [_by_term(engine, points, i, then, nil) for i in range(terms.shape[1])]
+    by_phi = [along(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
+    by_push = [by_effort(engine, points, i, then) if moving.efforts else off for i in range(nil.shape[1])]
+    parabolas = [
+        _by_term(engine, points, i, then, nil) if moves else (off, off) for i, moves in enumerate(moving.terms)
+    ]
     by_term, squared = ([parabola[order] for parabola in parabolas] for order in (0, 1))
     columns = [_stacked(c, state) for c in (by_state, by_command, by_phi, by_push, by_term, squared)]
+    return _table(points, then, columns)
+
+
+def shifted(engine: Engine, points: Points, table: Table) -> Table:
+    """The engine at these points, with the derivatives of a table that was made nearby."""
+    points = Points(*(np.asarray(a, np.float64) for a in points))
+    then = engine.rows(*points, np.zeros((len(points.state), table.by_effort.shape[1])))
+    return _table(points, then, [np.asarray(column, np.float64) for column in table[3:]])
+
+
+def _table(points: Points, then: Float[np.ndarray, "n s"], columns: list[np.ndarray]) -> Table:
+    """The table through the next states `then`, with columns of derivatives in the order of `Table`."""
+    phi, terms, state, command = points
     of_terms = np.einsum("nk,nks->ns", terms, columns[4]) + np.einsum("nk,nks->ns", terms**2, columns[5])
     at_nil = then - np.einsum("p,nps->ns", phi, columns[2]) - of_terms
     at_nil = np.where(np.isfinite(at_nil), at_nil, state)
@@ -61,19 +88,12 @@ def tabulate(engine: Engine, points: Points) -> Table:
 
 
 def by_effort(
-    engine: Engine,
-    phi: Float[np.ndarray, " p"],
-    state: Float[np.ndarray, "n s"],
-    command: Float[np.ndarray, "n parts u"],
-    i: int,
-    terms: Float[np.ndarray, "n k"] | None = None,
+    engine: Engine, points: Points, i: int, then: Float[np.ndarray, "n s"] | None = None
 ) -> Float[np.ndarray, "n s"]:
-    """Derivatives of the next states with respect to the i-th effort."""
-    push = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
-    push[:, i] = EFFORT
-    nil = np.zeros((len(state), len(engine.terms))) if terms is None else terms
-    up, down = (engine.rows(phi, nil, state, command, sign * push) for sign in (1, -1))
-    return (up - down) / (2 * EFFORT)
+    """Derivatives of the next states with respect to the i-th effort. then: the next states, if they are known."""
+    push = np.zeros((len(points.state), sum(1 for f in engine.schema.state if f.effort)))
+    then = engine.rows(*points, push) if then is None else then
+    return (engine.rows(*points, _moved(push, i, EFFORT)) - then) / EFFORT
 
 
 def _by_term(

@@ -160,7 +160,8 @@ def _look(
     """Search for effects, then compare each with its alternatives."""
 
     def confirmed(problem: Problem, trial: Trial, required: float) -> bool:
-        heldout = gain(problem, tabulated(problem, trial.fit.v, unseen), trial.without, trial.fit)
+        fits = trial.without, trial.fit
+        heldout = gain(problem, tabulated(problem, trial.fit.v, unseen, fits), *fits)
         return agrees(by_row(trial.without, trial.fit), heldout, problem.chunks, required)
 
     def holds_out(problem: Problem, trial: Trial, required: float) -> bool:

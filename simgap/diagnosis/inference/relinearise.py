@@ -1,16 +1,22 @@
 """Fits of an engine, whose tables hold only near the point where they were made: they are renewed as a fit moves."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import SETTLED, Model, Trial
 from simgap.diagnosis.likelihood.directions import bounds_of
+from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import NEAR, Fit, Problem, evaluate, value_of, with_value
-from simgap.engines import is_engine
+from simgap.engines import Table, is_engine
 
 SIZES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 """Factors on an effect's fitted constants that are tried on an engine itself."""
+CLOSE = 0.1
+"""Share by which a fit may move before an engine is differentiated again. Until then only its next states are renewed:
+those say where the fit ends, the derivatives only how fast it gets there."""
 RENEWALS = 4
 """How often tables are made for one fit, at most."""
 
@@ -18,13 +24,15 @@ RENEWALS = 4
 def relinearised(problem: Problem, fit: Fit, reach: float = NEAR) -> tuple[Problem, Fit]:
     """Continue the fit, with new tables where it leads, until it has converged. Without an engine nothing changes.
 
-    reach: how far the parameters may move with one table.
+    reach: how far the parameters may move with one table. The tables are for this fit alone (see `for_all`).
     """
     if not is_engine(problem.augmented.simulator):
         return problem, fit
+    at = None
     for _ in range(RENEWALS):
-        chunks = tabulated(problem, fit.v, problem.chunks)
-        problem = problem._replace(chunks=chunks, near=np.asarray(fit.v.phi), reach=reach)
+        derivatives = problem.chunks.table if at is not None and _close(at, fit.v) else None
+        at = at if derivatives is not None else fit.v
+        problem = _renewed(problem, fit.v, reach, [fit], derivatives)
         initial = evaluate(problem, fit.v, fit.groups)
         if not np.isfinite(initial.loglik):
             return problem, initial
@@ -32,6 +40,27 @@ def relinearised(problem: Problem, fit: Fit, reach: float = NEAR) -> tuple[Probl
         if fit.loglik - initial.loglik < SETTLED:
             break
     return problem, fit
+
+
+def for_all(problem: Problem, v: Variables) -> Problem:
+    """The problem with an engine's tables at v for all hypotheses, not only for those of one fit."""
+    return _renewed(problem, v, problem.reach, ())
+
+
+def _renewed(
+    problem: Problem, v: Variables, reach: float, fits: Sequence[Fit], derivatives: Table | None = None
+) -> Problem:
+    if not is_engine(problem.augmented.simulator):
+        return problem
+    chunks = tabulated(problem, v, problem.chunks, fits, derivatives)
+    return problem._replace(chunks=chunks, near=np.asarray(v.phi), reach=reach)
+
+
+def _close(at: Variables, v: Variables) -> bool:
+    """Whether parameters (logarithms) and effects' constants differ by less than a share of `CLOSE`."""
+    constants = [(at.theta, v.theta), (at.delta, v.delta)]
+    same = all(bool(np.all(np.abs(a - b) <= CLOSE * np.maximum(np.abs(a), np.abs(b)))) for a, b in constants)
+    return same and bool(np.all(np.abs(at.phi - v.phi) <= CLOSE))
 
 
 def standing(problem: Problem) -> Problem:

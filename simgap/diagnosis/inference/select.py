@@ -21,7 +21,7 @@ from simgap.diagnosis.inference.model import (
     settled,
 )
 from simgap.diagnosis.inference.relaxation import room
-from simgap.diagnosis.inference.relinearise import carried_on, fitted, relinearised, standing
+from simgap.diagnosis.inference.relinearise import carried_on, fitted, for_all, relinearised, standing
 from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials, value_of
@@ -187,14 +187,14 @@ def search(
             retabulated, best = carried_on(model.problem, t, without)
             gains = best is t or best.beyond > max(required, least(retabulated, base, without, best.fit))
             if gains and holds_out(retabulated, best, required):
-                model = decorrelated(retabulated, best.fit)
+                model = decorrelated(for_all(retabulated, best.fit.v), best.fit)
                 break
             report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions" if gains else
                 f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")  # fmt: skip
             best = None
         refitted, again = True, not refitted
         if best is None and again:
-            model = fitted(free_problem, without)
+            model = fitted(for_all(free_problem, without.v), without)
             continue
         if best is None:
             rounds.append(current)

@@ -1,21 +1,31 @@
 """Segments with tables of an engine, computed along the filter's estimates."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from simgap.diagnosis.likelihood.filter import Variables, acting, filtered, sent_of
-from simgap.diagnosis.likelihood.problem import Problem
+from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.effects.augmented import Augmented
 from simgap.effects.stepping import terms_of
-from simgap.engines import is_engine
-from simgap.simulators.tables import Points, tabulate
+from simgap.engines import Table, is_engine
+from simgap.simulators.tables import Inputs, Points, shifted, tabulate
 
 
-def tabulated(problem: Problem, v: Variables, chunks: Chunks) -> Chunks:
-    """Segments with tables of the engine near the filter's estimates; unchanged if the simulator is no engine."""
-    augmented = problem.augmented
-    if not is_engine(augmented.simulator):
+def tabulated(
+    problem: Problem, v: Variables, chunks: Chunks, fits: Sequence[Fit] = (), derivatives: Table | None = None
+) -> Chunks:
+    """Segments with tables of the engine near the filter's estimates; unchanged if the simulator is no engine.
+
+    fits: the tables serve these alone: parameters, and constants that act or are free in them. None given: all.
+    derivatives: a table of these segments whose derivatives are good enough; only the next states are renewed.
+    """
+    augmented, engine = problem.augmented, problem.augmented.simulator
+    if not is_engine(engine):
         return chunks
     chunks = chunks._replace(table=None)
     (state, _), command = filtered(augmented, problem.scales, v, chunks), sent_of(augmented, v, chunks)
@@ -25,9 +35,24 @@ def tabulated(problem: Problem, v: Variables, chunks: Chunks) -> Chunks:
     # Where an estimate is not finite, use the measured state.
     x = np.where(np.isfinite(state), np.asarray(state), np.asarray(chunks.state)[:, :-1])
     scored = np.asarray(chunks.counts).any(1)  # the others are padding
-    inputs = [np.asarray(a)[scored] for a in (terms, x, command)]
-    table = tabulate(augmented.simulator, Points(np.asarray(v.phi), *(a.reshape(-1, *a.shape[2:]) for a in inputs)))
+
+    def by_row(a: Any) -> np.ndarray:
+        return np.asarray(a)[scored].reshape(-1, *a.shape[2:])
+
+    points = Points(np.asarray(v.phi), *map(by_row, (terms, x, command)))
+    if derivatives is None:
+        table = tabulate(engine, points, _moving(augmented, fits) if fits else None)
+    else:
+        table = shifted(engine, points, jax.tree.map(by_row, derivatives))
     index = np.where(scored, np.cumsum(scored) - 1, 0)
-    return chunks._replace(
-        table=jax.tree.map(lambda a: jnp.asarray(a.reshape(*inputs[0].shape[:2], *a.shape[1:])[index]), table)
-    )
+    rows = scored.sum(), x.shape[1]
+    return chunks._replace(table=jax.tree.map(lambda a: jnp.asarray(a.reshape(*rows, *a.shape[1:])[index]), table))
+
+
+def _moving(augmented: Augmented, fits: Sequence[Fit]) -> Inputs:
+    """The inputs that the effects in these fits change."""
+    on = np.any([entries != 0 for fit in fits for entries in (fit.v.theta, *fit.v.delta)], axis=0)
+    on[[entry for fit in fits for group in fit.groups for entry in group.entries]] = True
+    places = {augmented.catalogue[effect].place for effect in augmented.effect_of[on]}
+    terms = terms_of(augmented, on.astype(np.float32))
+    return Inputs(bool(places & {"command", "filter"}), "push" in places, np.asarray(terms) != 0)

@@ -14,7 +14,7 @@ from simgap.effects.stepping import efforts
 from simgap.engines import Engine, is_engine
 from simgap.kinematics import motion
 from simgap.rows import by_row
-from simgap.simulators.tables import by_effort
+from simgap.simulators.tables import Points, by_effort
 from simgap.types import Recording, StepModel
 
 QUANTILES = np.linspace(0, 1, 21)
@@ -103,9 +103,10 @@ def _typical_efforts(
     commands = np.concatenate([r.command for r in recordings])
     chosen = np.linspace(0, len(states) - 1, min(PROBES, len(states))).astype(int)
     held = np.repeat(commands[chosen, None], engine.parts, axis=1)
+    points = Points(augmented.nominal.astype(float), np.zeros((len(chosen), len(engine.terms))), states[chosen], held)
     sizes = {}
     for i, (b, a) in enumerate(efforts(augmented.layout)):
-        response = by_effort(engine, augmented.nominal.astype(float), states[chosen], held, i)
+        response = by_effort(engine, points, i)
         slope = np.abs(response[:, augmented.layout.velocity[b, a]])
         per_unit = float(np.median(slope[np.isfinite(slope)])) if np.isfinite(slope).any() else 0.0
         sizes[b, a] = _typical_size(changes[:, b, a][:, None])[0] / per_unit if per_unit > 0 else 1.0
