@@ -6,11 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.hypotheses.features import inside
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
-from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, cut, sent_before
-from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.diagnosis.likelihood.problem import Fit, Problem
+from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, sent_before
+from simgap.diagnosis.report.separation import apart, apart_refitted
 from simgap.diagnosis.validation.forecast import Contestant, Regimes, forecast
 from simgap.kinematics import motion
 from simgap.rows import by_row
@@ -23,10 +22,29 @@ CLEAR = 3.0
 """A sequence must move an output by more than this multiple of its noise."""
 SETTLED = float(np.log(20))
 """Minimum log-likelihood ratio [nats] of an experiment: odds of 20 to 1."""
+HELD_S = (0.1, 0.3)
+"""How long a random binary signal keeps its value [s]. It excites all frequencies up to the inverse, which is what
+separates dynamics that look alike [Ljung 1999, section 13.3]."""
+RUNS = 4
+"""How often an experiment is run, each time from another place: one run of some seconds seldom decides."""
+REFITTED = 24
+"""Number of sequences for which the other model is refitted: those that separate the models best as they are, each of
+another kind."""
+
+
+class _Sequence(NamedTuple):
+    """Commands; kind: what their sizes and signs have in common."""
+
+    kind: str
+    words: str
+    commands: Float[np.ndarray, "T u"]
 
 
 class Experiment(NamedTuple):
-    """A sequence of commands, its description, and the log-likelihood ratio of two models that it gives [nats]."""
+    """A sequence of commands, its description, and the log-likelihood ratio [nats] that `RUNS` runs of it give.
+
+    Of the first model over the other, which has been fitted again to the recordings and these runs together.
+    """
 
     time_s: Float[np.ndarray, " T"]
     commands: Float[np.ndarray, "T u"]
@@ -54,25 +72,27 @@ def design(
     outputs = {o for hypothesis in about for o in hypothesis.outputs} or {f.name for f in schema.state}
     limits = np.max([np.abs(r.command).max(0) for r in recordings], axis=0)
     in_channels = np.array([f.name in channels for f in schema.command], bool)
-    library = [(words, u) for words, u in _library(problem, rows, limits) if u[:, in_channels].any()]
+    library = [s for s in _library(problem, rows, limits) if s.commands[:, in_channels].any()]
     if not library:
         return NoExperiment("the recordings never use the commands that these explanations depend on")
-    simulated = _forecast(problem, a, [u for _, u in library], regimes, recordings)
+    simulated = _forecast(problem, a, [s.commands for s in library], regimes, recordings)
     possible = _within(problem, simulated, recordings)
     if not possible.any():
         return NoExperiment("every sequence of commands takes the simulated robot out of its recorded range")
     possible &= _moves(problem, a, simulated, [f.name in outputs for f in schema.state])
     if not possible.any():
         return NoExperiment(f"no sequence of commands moves {', '.join(sorted(outputs))} clearly beyond the noise")
-    nats = np.where(possible, 0.0, -np.inf)
-    nats[possible] = _log_ratio(
-        problem, a, b, [(simulated[i], library[i][1]) for i in np.flatnonzero(possible)], regimes
-    )
+    runs, (chosen,) = [(s.commands, y) for s, y in zip(library, simulated, strict=True)], np.nonzero(possible)
+    as_fitted = apart(problem, a, b, [runs[i] for i in chosen], regimes)
+    likely = _best_of_each_kind(library, chosen[np.argsort(-as_fitted)].tolist())[:REFITTED]
+    nats = apart_refitted(problem, a, b, [runs[i] for i in likely], regimes, RUNS)
     best = int(np.argmax(nats))
     if nats[best] < SETTLED:
-        return NoExperiment(f"the best sequence of commands separates them by only {max(nats[best], 0.0):.1f} nats")
-    words, commands = library[best]
-    return Experiment(np.arange(rows) * dt, commands, words, float(nats[best]))
+        return NoExperiment(
+            f"the best sequence of commands separates them by only {max(nats[best], 0.0):.1f} nats in {RUNS} runs"
+        )
+    chosen_one = library[likely[best]]
+    return Experiment(np.arange(rows) * dt, chosen_one.commands, chosen_one.words, float(nats[best]))
 
 
 def _forecast(
@@ -98,38 +118,16 @@ def _moves(
     return (np.ptp(states, axis=1) > CLEAR * noise)[:, np.array(in_outputs)].any(1)
 
 
-def _log_ratio(
-    problem: Problem, a: Fit, b: Fit, simulated: Sequence[tuple[np.ndarray, np.ndarray]], regimes: Regimes
-) -> Float[np.ndarray, " n"]:
-    """Log-likelihood ratio [nats] of a over b on measurements simulated by a, with a's noise in the recordings.
-
-    It is a sum over one-step predictions, as in a diagnosis: errors that only add up over seconds are no evidence.
-    -inf where b diverges.
-    """
-    dt, least = problem.scales.time_step, len(problem.chunks.row)
-    # y[t] is measured after command u[t], so it is in one row with u[t + 1].
-    sessions = [
-        Recording(str(i), np.arange(len(u)) * dt, y, np.concatenate([u[1:], u[-1:]]))
-        for i, (y, u) in enumerate(simulated)
-    ]
-    at_once = max(least // -(-len(sessions[0].time_s) // LENGTH), 1)
-    ratios = []
-    for first in range(0, len(sessions), at_once):
-        chunks = cut(sessions[first : first + at_once], dt, least)
-        gate = np.stack([inside(problem.augmented.layout, r, chunks) for r in regimes], axis=1).astype(np.float32)
-        simulated_problem = problem._replace(chunks=chunks._replace(gate=gate))
-        ends = np.cumsum(np.asarray(chunks.counts).sum(1))
-        session = np.repeat(chunks.session, np.diff(ends, prepend=0))
-        own, other = (evaluate(simulated_problem, f.v, (), a.noise) for f in (a, b))
-        with np.errstate(invalid="ignore", over="ignore"):
-            nats = (log_density(own.e, a.noise) - log_density(other.e, a.noise)).sum(1)
-        total = np.bincount(session, nats, len(sessions[first : first + at_once]))
-        ratios.append(np.where(np.isfinite(total), total, -np.inf))
-    return np.concatenate(ratios)
+def _best_of_each_kind(library: Sequence[_Sequence], best_first: Sequence[int]) -> list[int]:
+    """The first sequence of every kind."""
+    first: dict[str, int] = {}
+    for i in best_first:
+        first.setdefault(library[i].kind, i)
+    return list(first.values())
 
 
-def _library(problem: Problem, rows: int, limits: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """(description, commands [rows, u]) for every channel at three sizes, and for every pair of channels."""
+def _library(problem: Problem, rows: int, limits: np.ndarray) -> Iterator[_Sequence]:
+    """Sequences for every channel at three sizes, and for every pair of channels."""
     t = np.arange(rows) * problem.scales.time_step
     fields = problem.augmented.simulator.schema.command
     period = SECONDS / 3
@@ -140,6 +138,7 @@ def _library(problem: Problem, rows: int, limits: np.ndarray) -> Iterator[tuple[
         "a ramp": np.clip(t / SECONDS, 0, 1),
         "a slow triangle": 2 * np.abs(((t / SECONDS + 0.25) % 1) - 0.5) * 2 - 1,
         "a sweep": np.sin(2 * np.pi * (0.2 + 0.15 * t) * t),
+        **{f"random switching every {held_s:g} s": _random_binary(t, held_s) for held_s in HELD_S},
     }
     for i, f in enumerate(fields):
         for name, shape in shapes.items():
@@ -147,12 +146,20 @@ def _library(problem: Problem, rows: int, limits: np.ndarray) -> Iterator[tuple[
                 for sign in (1.0, -1.0):
                     u = np.zeros((rows, len(fields)))
                     u[:, i] = sign * size * limits[i] * shape
-                    yield f"{name} of {sign * size * limits[i]:.2g} {f.unit} on {f.name}", u
+                    kind = f"{name} on {f.name}"
+                    yield _Sequence(kind, f"{name} of {sign * size * limits[i]:.2g} {f.unit} on {f.name}", u)
         for j, g in enumerate(fields):
             if i < j:
                 u = np.zeros((rows, len(fields)))
                 u[:, i], u[:, j] = 0.5 * limits[i] * shapes["reversals"], 0.5 * limits[j] * shapes["a sweep"]
-                yield f"reversals on {f.name} with a sweep on {g.name}", u
+                kind = f"reversals on {f.name} with a sweep on {g.name}"
+                yield _Sequence(kind, kind, u)
+
+
+def _random_binary(t: Float[np.ndarray, " T"], held_s: float) -> Float[np.ndarray, " T"]:
+    """A signal of 1 and -1 that changes at random, after half a second of rest; the same each time."""
+    values = np.random.default_rng(0).choice((-1.0, 1.0), int(t[-1] / held_s) + 1)
+    return np.where(t > 0.5, values[(t / held_s).astype(int)], 0.0)
 
 
 def _at_rest(recordings: list[Recording]) -> Float[np.ndarray, " s"]:

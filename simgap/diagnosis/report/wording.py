@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.report.experiment import Experiment
+from simgap.diagnosis.report.experiment import RUNS, Experiment
 from simgap.effects import CATALOGUE
 
 LISTED = 6
@@ -54,8 +54,9 @@ NO_COMMANDS = "The machine takes no commands, so no experiment can be proposed."
 def experiment(designed: Experiment, ids: Sequence[str]) -> str:
     """What to command, and what for."""
     return (
-        f"To separate {title(ids[0])} from {title(ids[1])}, start at rest and command {designed.words}; "
-        f"their predictions then differ by {designed.nats:,.0f} nats within {designed.time_s[-1]:.0f} s."
+        f"To separate {title(ids[0])} from {title(ids[1])}, start at rest and command {designed.words} for "
+        f"{designed.time_s[-1]:.0f} s, {RUNS} times from different places. If it is {title(ids[0])}, it gains "
+        f"{designed.nats:,.0f} nats, even with all constants of {title(ids[1])} fitted again."
     )
 
 
