@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from simgap.diagnosis.report import names
 from simgap.diagnosis.report.wording import acts
 from simgap.page import numbers, wording
 from simgap.page.figures import Figures, source
@@ -51,7 +52,7 @@ def alternatives(statement: Values, figures: Figures) -> dict[str, Any]:
     return {
         "rows": [
             {
-                "name": " with ".join(map(wording.title, a["effects"])) or "nothing missing",
+                "name": " with ".join(map(names.title, a["effects"])) or "nothing missing",
                 "probability": numbers.percent(a["probability"]),
                 "width": numbers.width(a["probability"]),
             }
@@ -77,7 +78,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         )
         if numbers.known(effect.get(key))
     ]
-    title = wording.title(effect["id"])
+    title = names.title(effect["id"])
     return {
         "title": title,
         "probability": _probability(effect),
@@ -88,7 +89,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         "outputs": effect.get("outputs") or [],
         "gains": gains,
         "acts": acts(effect.get("support")),
-        "credible": [wording.title(m) for m in effect.get("credible_set") or []],
+        "credible": [names.title(m) for m in effect.get("credible_set") or []],
         "laws": [
             {
                 "title": law.get("title", ""),

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from simgap.diagnosis.report.names import title
 from simgap.page import numbers, wording
-from simgap.page.wording import title
 
 Values = Mapping[str, Any]
 

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from simgap.diagnosis.config import LEVEL
-from simgap.diagnosis.report.wording import NO_COMMANDS, listed, title
+from simgap.diagnosis.report.names import listed, title
+from simgap.diagnosis.report.wording import NO_COMMANDS
 from simgap.page.marks import MODELS
 from simgap.page.numbers import DASH, fixed, interval, known, number, percent
 

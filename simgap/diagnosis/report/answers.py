@@ -9,6 +9,7 @@ from simgap.diagnosis.config import CREDIBLE, POWER, Z95
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.report import wording
+from simgap.diagnosis.report.names import title
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 from simgap.types import Sessions
@@ -103,8 +104,8 @@ def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
         if not seen
     ]
     if untested := untested_of(found):
-        names = ", ".join(map(wording.title, untested))
-        notes.append(f"Could not test {names}: the simulator does not stay finite there.")
+        effects = ", ".join(map(title, untested))
+        notes.append(f"Could not test {effects}: the simulator does not stay finite there.")
     if len(sessions.heldout) < scores.LEAST_SESSIONS:
         note = "There are few held-out sessions: intervals of their scores are a bootstrap over pieces of sessions."
         notes.append(note)

@@ -1,27 +1,13 @@
 """Sentences of a diagnosis."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report.experiment import RUNS, Experiment
+from simgap.diagnosis.report.names import listed, number, quantity, title
 from simgap.effects import CATALOGUE
-
-LISTED = 6
-"""Maximum number of names in a sentence."""
-
-
-def number(value: float) -> str:
-    """Three significant digits."""
-    return f"{value:.3g}"
-
-
-def quantity(constant: dict[str, Any]) -> str:
-    """Value and unit."""
-    unit = "" if constant["unit"] == "-" else f" {constant['unit']}"
-    return f"{number(constant['value'])}{unit}"
 
 
 def effect(hypothesis: Hypothesis, constants: list[dict[str, Any]], support: Mapping[str, Any]) -> str:
@@ -160,7 +146,7 @@ def _unexplained(diagnosis: dict[str, Any]) -> str:
 
 
 def _missing_physics(diagnosis: dict[str, Any]) -> str:
-    lines = f"The simulator leaves out: {_statements(diagnosis['effects'])}"
+    lines = f"The simulator leaves out: {' '.join(map(_named, diagnosis['effects']))}"
     more = []
     if diagnosis["whiteness"]["outputs"]:
         shares = [
@@ -185,6 +171,17 @@ _VERDICTS = {
     "unexplained": _unexplained,
     "missing_physics": _missing_physics,
 }
+
+
+def _named(effect: dict[str, Any]) -> str:
+    """A named effect, and what else in its credible set it may be."""
+    others = [title(name) for name in effect["credible_set"] if name != effect["id"]]
+    if not others:
+        return effect["statement"]
+    return (
+        f"{effect['statement']} The recordings cannot tell this from {listed(others)}: that it is "
+        f"{title(effect['id'])} has a probability of {effect['probability']:.0%}."
+    )
 
 
 def _statements(effects: Sequence[dict[str, Any]]) -> str:
@@ -233,19 +230,3 @@ def _horizon(score: str) -> int:
 
 def _steps(n: int) -> str:
     return "one step" if n == 1 else f"{n} steps"
-
-
-def title(effect: str) -> str:
-    """An effect's one name: its id with spaces, its form in brackets, like `reach limit (horizontal) on ee_vx`.
-
-    Names of channels and outputs, after ` on `, stay as they are.
-    """
-    ident, on, where = effect.partition(" on ")
-    return re.sub(r"^([^.]+)\.([^.]+)$", r"\1 (\2)", ident.replace("_", " ")) + on + where
-
-
-def listed(names: Sequence[str]) -> str:
-    """`a, b and c`; if there are many, the first ones and the number of the others: `a, b, c and 4 more`."""
-    if len(names) > LISTED:
-        names = [*names[: LISTED - 1], f"{len(names) - LISTED + 1} more"]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -184,6 +184,16 @@ def test_a_refit_that_is_worse_is_a_warning() -> None:
     assert "the refitted simulator is worse than the simulator as it is after 50 steps: 37.6% against 17.5%" in line
 
 
+@pytest.mark.parametrize(
+    ("credible", "said"), [(["lag"], "A lag."), (["lag", "delay"], "A lag. The recordings cannot")]
+)
+def test_a_tie_is_said_where_its_effect_is_named(credible: list[str], said: str) -> None:
+    effect = {"id": "lag", "probability": 0.5, "credible_set": credible, "statement": "A lag."}
+    sentence = wording._named(effect)
+    assert sentence.startswith(said)
+    assert ("cannot tell this from delay: that it is lag has a probability of 50%" in sentence) == (len(credible) > 1)
+
+
 def test_the_parameters_of_these_tests_are_the_nominal_ones() -> None:
     """So that `nothing` is right, and not other parameters."""
     np.testing.assert_allclose([p.nominal for p in AS_IT_IS.parameters], PHI)

@@ -7,7 +7,7 @@ import pytest
 from arms import arm
 
 from simgap.diagnosis.hypotheses.features import seen_names
-from simgap.diagnosis.report.wording import title
+from simgap.diagnosis.report.names import title
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import features
 from simgap.engines import Engine

@@ -1,0 +1,35 @@
+"""Names and numbers as people read them."""
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+LISTED = 6
+"""Maximum number of names in a sentence."""
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    return f"{value:.3g}"
+
+
+def quantity(constant: dict[str, Any]) -> str:
+    """Value and unit."""
+    unit = "" if constant["unit"] == "-" else f" {constant['unit']}"
+    return f"{number(constant['value'])}{unit}"
+
+
+def title(effect: str) -> str:
+    """An effect's one name: its id with spaces, its form in brackets, like `reach limit (horizontal) on ee_vx`.
+
+    Names of channels and outputs, after ` on `, stay as they are.
+    """
+    ident, on, where = effect.partition(" on ")
+    return re.sub(r"^([^.]+)\.([^.]+)$", r"\1 (\2)", ident.replace("_", " ")) + on + where
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`; if there are many, the first ones and the number of the others: `a, b, c and 4 more`."""
+    if len(names) > LISTED:
+        names = [*names[: LISTED - 1], f"{len(names) - LISTED + 1} more"]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
