@@ -122,7 +122,25 @@ def _nothing(diagnosis: dict[str, Any]) -> str:
 
 
 def _parameters_only(diagnosis: dict[str, Any]) -> str:
-    return "No physics is missing; the simulator's parameters were off and are refitted." + _would_show(diagnosis)
+    off = _off(diagnosis["parameters"])
+    which = f": {listed(off)}" if off else ", though none is by itself certain to have another value"
+    return (
+        f"No physics is missing; the simulator's parameters were off and are refitted{which}.{_would_show(diagnosis)}"
+    )
+
+
+def _off(parameters: dict[str, Any]) -> list[str]:
+    """Parameters whose 95 % interval excludes their nominal value, the one that moved furthest in its range first."""
+
+    def moved(name: str) -> float:
+        low, high = parameters["ranges"][name]
+        return abs(parameters["fitted"][name] - parameters["nominal"][name]) / max(high - low, 1e-12)
+
+    def value(of: str, name: str) -> str:
+        return quantity({"value": parameters[of][name], "unit": parameters["units"][name]})
+
+    outside = [n for n, (low, high) in parameters["ci95"].items() if not low <= parameters["nominal"][n] <= high]
+    return [f"{n} is {value('fitted', n)}, not {value('nominal', n)}" for n in sorted(outside, key=moved, reverse=True)]
 
 
 def _inconclusive(diagnosis: dict[str, Any]) -> str:

@@ -46,8 +46,10 @@ def account(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
             }
         except SimgapError as error:
             notes.append(f"The findings could not be written into the model: {error}")
-    parameters = _sizes(engine, statement["parameters"])
-    return {**statement, "notes": notes, "parameters": parameters, "patched": written}
+    said = {**statement, "notes": notes, "parameters": _sizes(engine, statement["parameters"]), "patched": written}
+    if not start and said["verdict"] != "parameters_only":  # else its words are about parameters, which have units now
+        return said
+    return {**said, "statement": " ".join(filter(None, [start, wording.statement(said)]))}
 
 
 def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:
@@ -57,8 +59,7 @@ def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str,
         return dict(statement)
     # A model that needs nothing but the new stiffness still had parameters that were off.
     verdict = "parameters_only" if statement["verdict"] == "nothing" else statement["verdict"]
-    statement = {**statement, "verdict": verdict, "warnings": [start, *statement["warnings"]]}
-    return {**statement, "statement": f"{start} {wording.statement(statement)}"}
+    return {**statement, "verdict": verdict, "warnings": [start, *statement["warnings"]]}
 
 
 def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], folder: Path) -> Patched:

@@ -70,6 +70,18 @@ def test_a_model_that_is_not_stays_what_it_was_said_to_be(engine: MujocoEngine) 
     assert result["patched"] is None
 
 
+def test_parameters_that_were_off_are_named_in_their_units(engine: MujocoEngine) -> None:
+    said = statement(engine, "parameters_only")
+    names = list(said["parameters"]["nominal"])
+    said["parameters"] |= {
+        "fitted": dict.fromkeys(names, 0.02) | {"kp shoulder": np.log(0.7)},
+        "ci95": {n: [-0.1, 0.1] for n in names} | {"kp shoulder": [np.log(0.69), np.log(0.71)]},
+        "ranges": {n: [-1.0, 1.0] for n in names},
+    }
+    words = account(engine, model(engine), said, "arm.patched.xml")["statement"]
+    assert "were off and are refitted: kp shoulder is 56 N m/rad, not 80 N m/rad. With" in words
+
+
 def effect(id: str, where: str, outputs: list[str], **more: Any) -> dict[str, Any]:
     return {"id": id, "where": where, "outputs": outputs, "channels": [], "constants": [],
             "support": {"kind": "always"}, "statement": f"{id} on {where}.", **more}  # fmt: skip
