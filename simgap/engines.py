@@ -25,8 +25,9 @@ class Term:
     effect: id of the effect. where: joint or body that it acts on. outputs, channels: names of the states and commands
     concerned. constant, unit: name and unit of c as people read it. low, high: bounds of c. starts: values of c from
     which a search starts. says: a sentence for people with the constant's name in braces, true wherever the term acts.
-    reciprocal: c is one over a limit, so that zero is no limit; `unit` is that of the limit. shared: several places
-    may share one constant.
+    reciprocal: c is one over a limit, so that zero is no limit; `unit` is that of the limit. base: value of the
+    constant where the term is off, to which c is added. shared: several places may share one constant. form: of the
+    effect, if it has several.
     """
 
     effect: str
@@ -40,7 +41,9 @@ class Term:
     starts: tuple[float, ...]
     says: str
     reciprocal: bool = False
+    base: float = 0.0
     shared: bool = True
+    form: str = ""
 
 
 class Engine(Protocol):

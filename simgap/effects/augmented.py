@@ -51,13 +51,14 @@ class Augmented:
     def catalogue(self) -> tuple[Effect, ...]:
         """The effects that this simulator may lack.
 
-        For an engine, its own terms replace the effects with the same id, and `coarse` effects are left out.
+        For an engine, its own terms replace the effects with the same id (of one form, if the term has one), and
+        `coarse` effects are left out.
         """
         if not is_engine(self.simulator):
             return CATALOGUE
         own = effects_of(self.simulator)
-        others = {effect.id for effect in own}
-        return (*(e for e in CATALOGUE if e.id not in others and not e.coarse), *own)
+        replaced = {effect.key for effect in own}
+        return (*(e for e in CATALOGUE if not {e.id, e.key} & replaced and not e.coarse), *own)
 
     @cached_property
     def layout(self) -> Layout:

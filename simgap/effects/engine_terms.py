@@ -16,22 +16,22 @@ from simgap.engines import Engine, Term
 @cache
 def effects_of(engine: Engine) -> tuple[Effect, ...]:
     """One effect for each id among the engine's terms; its sites are where the terms act."""
-    ids = dict.fromkeys(term.effect for term in engine.terms)
-    return tuple(_effect(engine, id) for id in ids)
+    kinds = dict.fromkeys((term.effect, term.form) for term in engine.terms)
+    return tuple(_effect(engine, *kind) for kind in kinds)
 
 
-def _effect(engine: Engine, id: str) -> Effect:
-    index = np.array([i for i, term in enumerate(engine.terms) if term.effect == id])
+def _effect(engine: Engine, id: str, form: str) -> Effect:
+    index = np.array([i for i, term in enumerate(engine.terms) if (term.effect, term.form) == (id, form)])
     terms = [engine.terms[i] for i in index]
     first = terms[0]
     constant = Constant(
-        first.constant, "{u}", partial(_physical, first.reciprocal), min(t.low for t in terms),
+        first.constant, "{u}", partial(_physical, first.reciprocal, first.base), min(t.low for t in terms),
         max(t.high for t in terms), reciprocal=first.reciprocal,
     )  # fmt: skip
     return Effect(
         id, "engine", (constant,), lambda layout: tuple(map(_site, terms)),
         lambda scales, site: [[c] for c in terms[site].starts], partial(_law, index, len(engine.terms)), first.says,
-        tie="same_unit" if first.shared else "never",
+        form=form, tie="same_unit" if first.shared else "never",
     )  # fmt: skip
 
 
@@ -39,9 +39,9 @@ def _site(term: Term) -> Site:
     return Site(term.where, term.channels, term.outputs, term.effect, term.unit)
 
 
-def _physical(reciprocal: bool, c: float, site: int, scales: Scales) -> float:
+def _physical(reciprocal: bool, base: float, c: float, site: int, scales: Scales) -> float:
     if not reciprocal:
-        return c
+        return base + c
     return 1 / c if c else np.inf
 
 

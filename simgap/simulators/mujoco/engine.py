@@ -17,7 +17,7 @@ from simgap.engines import Term
 from simgap.simulators.mujoco.attributes import Scaled
 from simgap.simulators.mujoco.machine import Machine
 from simgap.simulators.mujoco.reading import Source
-from simgap.simulators.mujoco.terms import Added, Limited, Switch
+from simgap.simulators.mujoco.terms import Added, Switch, Timed
 from simgap.types import Parameter, Schema
 
 HELD = 1e10
@@ -151,6 +151,7 @@ class MujocoEngine:
         terms: Float[np.ndarray, " k"],
     ) -> None:
         """Set parameters and terms in a copy of the model, whatever was set before."""
+        model.opt.timestep = self.model.opt.timestep
         for name in self._arrays:
             getattr(model, name)[:] = getattr(self.model, name)
         for scaled, value in zip(self.scaled, phi, strict=True):
@@ -160,6 +161,8 @@ class MujocoEngine:
             if isinstance(switch, Added):
                 for slot in switch.slots:
                     getattr(model, slot.array)[slot.index] += value
+            elif isinstance(switch, Timed):
+                model.opt.timestep += value / self.steps
             elif value > 0:
                 model.actuator_forcerange[switch.index] = force_range(self.model, switch.index, value)
                 model.actuator_forcelimited[switch.index] = True
@@ -169,7 +172,7 @@ class MujocoEngine:
     @cached_property
     def _arrays(self) -> tuple[str, ...]:
         """Names of the arrays that parameters or terms change."""
-        slots = [s for part in (*self.scaled, *self.switches) if not isinstance(part, Limited) for s in part.slots]
+        slots = [s for part in (*self.scaled, *self.switches) if isinstance(part, Scaled | Added) for s in part.slots]
         names = {s.array for s in slots} | {"actuator_forcerange", "actuator_forcelimited", "dof_armature"}
         return tuple(sorted(names))
 
@@ -226,8 +229,9 @@ class MujocoEngine:
         worker.roll.rollout(worker.model, worker.data, full, inputs, control_spec=_INPUTS, state=states)
         taken = states[:, every - 1 :: every]
         # When MuJoCo gives up on a row, its time stands still or restarts at zero.
-        clock = self._rest[0] + self.model.opt.timestep * np.arange(every, command.shape[1] + 1, every)
-        lost = np.abs(taken[..., 0] - clock) > self.model.opt.timestep / 2
+        timestep = worker.model.opt.timestep
+        clock = self._rest[0] + timestep * np.arange(every, command.shape[1] + 1, every)
+        lost = np.abs(taken[..., 0] - clock) > timestep / 2
         return np.where(lost[..., None], np.nan, taken[..., self._columns])
 
     def _follow(self, full: Float[np.ndarray, "n full"]) -> None:

@@ -17,7 +17,7 @@ from simgap.simulators.mujoco import payloads
 from simgap.simulators.mujoco.attributes import Slot
 from simgap.simulators.mujoco.engine import MujocoEngine, force_range
 from simgap.simulators.mujoco.reading import compiled
-from simgap.simulators.mujoco.terms import Added, Limited
+from simgap.simulators.mujoco.terms import Added, Limited, Timed
 
 _NONE = int(mujoco.mjtDyn.mjDYN_NONE)
 
@@ -98,6 +98,8 @@ def _switched(
             continue
         if isinstance(switch, Limited):
             changes.append(_limit(engine, spec, switch, value))
+        elif isinstance(switch, Timed):
+            unwritten.append(f"rows {engine.time_step + value:.6g} s apart: that is a matter of the recordings")
         elif switch.term.effect == "payload" and spec.compiler.settotalmass > 0:
             unwritten.append(f"payload of {value:.6g} kg at {switch.term.where}: the model sets its total mass")
         elif switch.term.effect == "payload":

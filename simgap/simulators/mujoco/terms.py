@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from simgap.effects.timing import MISTIMED
 from simgap.engines import Term
 from simgap.simulators.mujoco import payloads
 from simgap.simulators.mujoco.attributes import Slot, gravcomp_slots, joint_slots, unit
@@ -41,7 +42,14 @@ class Limited:
     name: str
 
 
-Switch = Added | Limited
+@dataclass(frozen=True)
+class Timed:
+    """A term whose constant is added to the time between rows."""
+
+    term: Term
+
+
+Switch = Added | Limited | Timed
 
 
 @dataclass(frozen=True)
@@ -82,8 +90,11 @@ BOUND = 5.0
 """Largest size of a joint's term, as a multiple of the typical size."""
 
 
-def switches(model: mujoco.MjModel, machine: Machine) -> tuple[Switch, ...]:
-    """All terms that the model leaves at zero, for a compiled model that includes the bodies of payloads."""
+def switches(model: mujoco.MjModel, machine: Machine, time_step: float) -> tuple[Switch, ...]:
+    """All terms that the model leaves at zero, for a compiled model that includes the bodies of payloads.
+
+    time_step: nominal interval between rows [s].
+    """
     gravity = _gravity(model, machine)
     scales = {j.name: _scale(model, j, float(g)) for j, g in zip(machine.joints, gravity, strict=True)}
     terms: list[Switch] = []
@@ -97,7 +108,14 @@ def switches(model: mujoco.MjModel, machine: Machine) -> tuple[Switch, ...]:
         terms.append(Added(_gravity_term(machine, pulled), gravcomp_slots(model)))
     terms += _payloads(model, machine)
     terms += [limit for a in machine.actuators if (limit := _limit(model, machine, a.index, scales)) is not None]
-    return tuple(terms)
+    return (*terms, Timed(_interval_term(machine, time_step)))
+
+
+def _interval_term(machine: Machine, time_step: float) -> Term:
+    outputs, _ = _columns(machine, list(machine.joints))
+    most, starts = MISTIMED * time_step, tuple(sign * s * time_step for s in STARTS for sign in (1, -1))
+    return Term("sampling_interval", "all", outputs, (), "interval", "s", -most, most, starts,
+                "the true time step is {interval}", base=time_step, shared=False, form="constant")  # fmt: skip
 
 
 def _joint_term(machine: Machine, joint: Joint, kind: _Kind, typical: float) -> Term:
