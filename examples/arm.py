@@ -46,11 +46,13 @@ class ArmConfig:
 
 @dataclass
 class RealArm:
-    """What may differ from the model: its attributes, and the path of a command. delay, lag: [s]."""
+    """What may differ from the model: its attributes, the path of a command, and the clock. delay, lag: [s]. pace: time
+    between rows as a share of what their time stamps say."""
 
     spec: Any
     delay: float = 0.0
     lag: float = 0.0
+    pace: float = 1.0
 
 
 def _friction(arm: RealArm, joints: tuple[str, ...]) -> None:
@@ -93,6 +95,7 @@ MISSING: dict[str, Callable[[RealArm], None]] = {
     "damping": _damping,
     "delay": lambda arm: setattr(arm, "delay", 0.03),
     "lag": lambda arm: setattr(arm, "lag", 0.05),
+    "interval": lambda arm: setattr(arm, "pace", 0.95),
 }
 """What the real arm has and the model has not. Those of kp and damping are no effects but wrong parameters."""
 
@@ -132,7 +135,7 @@ def arm_session(
     model = arm.spec.compile()
     data = mujoco.MjData(model)
     commands = wishes(rng, rows, config.time_step)
-    substeps, late, settling = (round(t / FINE) for t in (config.time_step, arm.delay, SETTLING))
+    substeps, late, settling = (round(t / FINE) for t in (arm.pace * config.time_step, arm.delay, SETTLING))
     sent = np.concatenate([np.repeat(commands[:1], settling + late, 0), np.repeat(commands, substeps, 0)])
     follow = 1.0 if arm.lag == 0 else 1 - np.exp(-FINE / arm.lag)
     data.qpos[:] = data.ctrl[:] = commands[0]

@@ -43,6 +43,7 @@ CURES = {
     "payload": {"payload_forearm": 0.4},
     "gravity_compensation": {"joint_gravity_all": 0.5},
     "force_limit": {"force_limit_shoulder": 1 / 6},
+    "interval": {"sampling_interval_all": -0.001},
 }
 
 

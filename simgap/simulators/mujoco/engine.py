@@ -17,7 +17,7 @@ from simgap.engines import Term
 from simgap.simulators.mujoco.attributes import Scaled
 from simgap.simulators.mujoco.machine import Machine
 from simgap.simulators.mujoco.reading import Source
-from simgap.simulators.mujoco.terms import Added, Switch, Timed
+from simgap.simulators.mujoco.terms import Added, Switch, Timed, force_range
 from simgap.types import Parameter, Schema
 
 HELD = 1e10
@@ -243,12 +243,3 @@ class MujocoEngine:
             offset = full[:, qpos + leader.qpos] - self.model.qpos0[leader.qpos]
             full[:, qpos + follower.qpos] = self.model.qpos0[follower.qpos] + polynomial(offset)
             full[:, qvel + follower.dof] = polynomial.deriv()(offset) * full[:, qvel + leader.dof]
-
-
-def force_range(model: mujoco.MjModel, index: int, reciprocal: float) -> tuple[float, float]:
-    """The range of an actuator's force, within the model's range and a limit that is given as its reciprocal."""
-    limit = 1 / reciprocal
-    if not model.actuator_forcelimited[index]:
-        return -limit, limit
-    low, high = model.actuator_forcerange[index]
-    return max(float(low), -limit), min(float(high), limit)

@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 from simgap.simulators.mujoco import payloads
 from simgap.simulators.mujoco.attributes import Slot
-from simgap.simulators.mujoco.engine import MujocoEngine, force_range
+from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.reading import compiled
-from simgap.simulators.mujoco.terms import Added, Limited, Timed
+from simgap.simulators.mujoco.terms import Added, Limited, Timed, force_range
 
 _NONE = int(mujoco.mjtDyn.mjDYN_NONE)
 

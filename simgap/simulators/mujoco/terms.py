@@ -167,6 +167,15 @@ def _limit(model: mujoco.MjModel, machine: Machine, index: int, scales: dict[str
     return Limited(term, index, actuator.name)
 
 
+def force_range(model: mujoco.MjModel, index: int, reciprocal: float) -> tuple[float, float]:
+    """The range of an actuator's force, within the model's range and a limit that is given as its reciprocal."""
+    limit = 1 / reciprocal
+    if not model.actuator_forcelimited[index]:
+        return -limit, limit
+    low, high = model.actuator_forcerange[index]
+    return max(float(low), -limit), min(float(high), limit)
+
+
 def _columns(machine: Machine, joints: list[Joint]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the states and commands of these joints."""
     outputs = [f"{j.name}_{what}" for j in joints for what in ("pos", "vel")]

@@ -1,4 +1,8 @@
-"""Small models that the tests write, as text."""
+"""Small models that the tests write, as text, and what can be switched on in them."""
+
+import numpy as np
+
+from simgap.simulators.mujoco import MujocoEngine
 
 ARM = """
 <mujoco model="arm">
@@ -52,3 +56,8 @@ URDF = """
     <axis xyz="0 1 0"/></joint>
 </robot>
 """
+
+
+def starts(engine: MujocoEngine, which: int = 0) -> np.ndarray:
+    """A start of every term that a model file can hold: the time between rows is none."""
+    return np.array([0.0 if t.effect == "sampling_interval" else t.starts[which] for t in engine.terms])

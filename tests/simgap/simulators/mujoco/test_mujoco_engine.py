@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from arms import URDF, arm
 
+from simgap.effects.augmented import Augmented
 from simgap.simulators.mujoco import MujocoEngine, Servos, load
 from simgap.simulators.mujoco.steps import cut, quick
 from simgap.simulators.mujoco.steps import stepped as stepped_engine
@@ -138,6 +140,26 @@ def test_viscous_drag_where_there_is_no_damping(tmp_path: Path) -> None:
     np.testing.assert_allclose(engine.rows(engine.nominal, terms, *rows), expected, rtol=1e-8, atol=1e-9)
 
 
+def test_the_time_between_rows_is_a_term(engine: MujocoEngine) -> None:
+    """Of rows that last longer than the recordings say, and of others beside them."""
+    rows, terms = some(engine), none(engine, 6)
+    (at,) = [i for i, t in enumerate(engine.terms) if t.effect == "sampling_interval"]
+    terms[::2, at] = 0.1 * STEP
+    slower = stepped_engine(
+        replace(engine, time_step=1.1 * STEP), engine.steps, engine.parts, int(engine.model.opt.integrator)
+    )
+    after = engine.rows(engine.nominal, terms, *rows)
+    np.testing.assert_allclose(after[::2], slower.rows(engine.nominal, none(engine, 6), *rows)[::2], rtol=1e-9)
+    np.testing.assert_array_equal(after[1::2], engine.rows(engine.nominal, none(engine, 6), *rows)[1::2])
+
+
+def test_a_term_replaces_the_form_of_an_effect_that_it_names_and_no_other(engine: MujocoEngine) -> None:
+    keys = [effect.key for effect in Augmented(engine).catalogue]
+    assert keys.count("sampling_interval.constant") == keys.count("sampling_interval.stamped") == 1
+    assert keys.count("payload") == 1
+    assert "payload.own_motion" not in keys
+
+
 def test_what_the_model_sets_is_a_parameter_and_no_term(engine: MujocoEngine) -> None:
     names = [p.name for p in engine.parameters]
     assert names == ["kp pan", "kp lift", "damping pan", "damping lift", "damping reach", "armature lift"]
@@ -163,7 +185,7 @@ def test_parameters_are_shares_of_the_model_s_values(engine: MujocoEngine) -> No
 def test_terms_have_starts_within_physical_bounds(engine: MujocoEngine) -> None:
     for term in engine.terms:
         assert term.starts
-        assert all(max(term.low, 0.0) < start < term.high for start in term.starts), term
+        assert all(term.low < start < term.high and start != 0 for start in term.starts), term
         assert f"{{{term.constant}}}" in term.says
         assert set(term.outputs) <= {f.name for f in engine.schema.state}
         assert set(term.channels) <= {f.name for f in engine.schema.command}

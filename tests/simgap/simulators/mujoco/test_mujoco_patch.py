@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from arms import URDF, arm
+from arms import URDF, arm, starts
 
 from simgap.simulators.mujoco import MujocoEngine, Patched, Servos, load, patch
 from simgap.simulators.mujoco.steps import stepped as with_steps
@@ -57,7 +57,7 @@ def test_the_patched_model_is_the_engine_with_what_was_found(tmp_path: Path, tex
     """All parameters and all terms at once, with and without default classes."""
     engine = load(written(tmp_path, text), STEP)
     phi = np.linspace(-0.6, 0.7, len(engine.parameters))
-    terms = np.array([t.starts[0] for t in engine.terms])
+    terms = starts(engine)
     patched = patch(engine, phi, terms, tmp_path)
     assert not patched.unwritten
     same_rows(engine, phi, terms, again(tmp_path, patched))
@@ -98,7 +98,7 @@ def test_nothing_found_changes_nothing(tmp_path: Path) -> None:
 
 def test_a_urdf_becomes_an_mjcf_with_its_servos(tmp_path: Path) -> None:
     engine = load(written(tmp_path, URDF, "two.urdf"), STEP, servos=Servos(kp=20.0, kv=0.5, force_limit=9.0))
-    phi, terms = engine.nominal + 0.3, np.array([t.starts[1] for t in engine.terms])
+    phi, terms = engine.nominal + 0.3, starts(engine, 1)
     same_rows(engine, phi, terms, again(tmp_path, patch(engine, phi, terms, tmp_path)))
 
 
@@ -160,6 +160,14 @@ def test_a_payload_in_a_model_of_a_given_total_mass_is_not_written(tmp_path: Pat
     assert patched.unwritten == ("payload of 0.4 kg at hand: the model sets its total mass",)
 
 
+def test_the_time_between_rows_is_not_written(tmp_path: Path) -> None:
+    engine = load(written(tmp_path, arm()), STEP)
+    terms = np.array([0.001 if t.effect == "sampling_interval" else 0.0 for t in engine.terms])
+    patched = patch(engine, engine.nominal, terms, tmp_path)
+    assert patched.changes == ()
+    assert patched.unwritten == ("rows 0.021 s apart: that is a matter of the recordings",)
+
+
 CUBE = """v 0 0 0
 v .02 0 0
 v 0 .02 0
@@ -178,6 +186,6 @@ def test_meshes_are_found_from_another_folder(tmp_path: Path) -> None:
     path = written(tmp_path / "robot", text)
     written(tmp_path / "robot" / "parts", CUBE, "cube.obj")
     engine = load(path, STEP)
-    terms = np.array([t.starts[0] for t in engine.terms])
+    terms = starts(engine)
     patched = patch(engine, engine.nominal, terms, tmp_path / "deep" / "found")
     same_rows(engine, engine.nominal, terms, again(tmp_path / "deep" / "found", patched))

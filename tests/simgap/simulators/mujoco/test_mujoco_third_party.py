@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import starts
 
 from simgap.simulators.mujoco import load, patch
 from simgap.simulators.mujoco.steps import stepped
@@ -42,7 +43,7 @@ def test_an_arm_loads_moves_and_is_patched(name: str, tmp_path: Path) -> None:
     state[:, :joints] = engine.machine.reference[[j.qpos for j in engine.machine.joints]]
     state[:, :joints] += 0.01 * rng.normal(size=(4, joints))
     rows = (state, 0.1 * rng.normal(size=(4, engine.parts, actuators)), np.zeros((4, joints)))
-    phi, terms = engine.nominal + 0.1, np.array([t.starts[0] for t in engine.terms])
+    phi, terms = engine.nominal + 0.1, starts(engine)
     expected = engine.rows(phi, np.tile(terms, (4, 1)), *rows)
     assert np.isfinite(expected).all()
     patched = patch(engine, phi, terms, tmp_path)
