@@ -2,7 +2,7 @@
 
     python -m benchmarks.arms
 
-About ten minutes. Three joints, eight sessions of 8 s at 50 Hz, friction left out of the model. The baseline is the
+About ten minutes. Three joints, four sessions of 8 s at 50 Hz, friction left out of the model. The baseline is the
 same diagnosis where every table of the engine has all derivatives and is made anew whenever a fit has moved; ours has
 only those that the fit can use, and keeps them while it moves little. The two take turns, each in a process of its own
 that reads what is compiled from one cache. Prints a table and writes benchmarks/arms.json.
@@ -20,7 +20,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 OUTPUT = Path(__file__).with_name("arms.json")
-REPEATS = 2
+REPEATS = 1
 BASELINE, OURS = "whole tables", "ours"
 
 
@@ -28,7 +28,7 @@ def main() -> None:
     """Measure in turns, print and write the medians."""
     found: dict[str, list[dict[str, float]]] = {BASELINE: [], OURS: []}
     with tempfile.TemporaryDirectory() as folder:
-        record = [sys.executable, "-m", "examples.record", "arm", f"{folder}/arm"]
+        record = [sys.executable, "-m", "examples.record", "arm", f"{folder}/arm", "--sessions", "4"]
         subprocess.run(record, check=True, stdout=subprocess.DEVNULL)
         own = {**os.environ, "JAX_COMPILATION_CACHE_DIR": f"{folder}/jax"}
         for repeat in range(-1, REPEATS):  # the first turn only compiles
