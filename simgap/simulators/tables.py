@@ -30,42 +30,40 @@ class Points(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Inputs that may leave the points, besides states and parameters: commands, efforts, and which of the terms."""
+    """Which inputs vary in what a table is made for; states and parameters always do. terms: each term."""
 
     commands: bool
     efforts: bool
     terms: Bool[np.ndarray, " k"]
 
 
-def tabulate(engine: Engine, points: Points, moving: Inputs | None = None) -> Table:
+def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Table:
     """The engine near these points, in single precision. Where it diverges, derivatives are zero and the next state is
     the state itself.
 
-    moving: which inputs get derivatives (None: all). Those of the others are zero; each would take another evaluation
-    of all rows. Differences are one-sided: the error of that is far below the error of a linear table.
+    varied: the inputs that get derivatives (None: all). Those of the others are zero, because each takes another
+    evaluation of all rows. Differences are one-sided; their error is far below that of a linear table.
     """
     points = Points(*(np.asarray(a, np.float64) for a in points))
     phi, terms, state, command = points
     nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
     then = engine.rows(phi, terms, state, command, nil)
-    moving = moving or Inputs(True, True, np.ones(terms.shape[1], bool))
+    varied = varied or Inputs(True, True, np.ones(terms.shape[1], bool))
     spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
     off = np.zeros_like(state)
 
-    def along(moved: Points, step: float) -> Float[np.ndarray, "n s"]:
-        return (engine.rows(*moved, nil) - then) / step
+    def difference(at: Points, step: float) -> Float[np.ndarray, "n s"]:
+        return (engine.rows(*at, nil) - then) / step
 
-    by_state = [along(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
+    by_state = [difference(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
     by_command = [
-        along(points._replace(command=_moved(command, (j, i), h)), h) if moving.commands else off
+        difference(points._replace(command=_moved(command, (j, i), h)), h) if varied.commands else off
         for j in range(engine.parts)
         for i, h in enumerate(spread[1])
     ]
-    by_phi = [along(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
-    by_push = [by_effort(engine, points, i, then) if moving.efforts else off for i in range(nil.shape[1])]
-    parabolas = [
-        _by_term(engine, points, i, then, nil) if moves else (off, off) for i, moves in enumerate(moving.terms)
-    ]
+    by_phi = [difference(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
+    by_push = [by_effort(engine, points, then, i) if varied.efforts else off for i in range(nil.shape[1])]
+    parabolas = [_by_term(engine, points, i, then, nil) if on else (off, off) for i, on in enumerate(varied.terms)]
     by_term, squared = ([parabola[order] for parabola in parabolas] for order in (0, 1))
     columns = [_stacked(c, state) for c in (by_state, by_command, by_phi, by_push, by_term, squared)]
     return _table(points, then, columns)
@@ -87,13 +85,11 @@ def _table(points: Points, then: Float[np.ndarray, "n s"], columns: list[np.ndar
     return Table(*(np.asarray(a, np.float32) for a in (state, command, at_nil, *columns)))
 
 
-def by_effort(
-    engine: Engine, points: Points, i: int, then: Float[np.ndarray, "n s"] | None = None
-) -> Float[np.ndarray, "n s"]:
-    """Derivatives of the next states with respect to the i-th effort. then: the next states, if they are known."""
-    push = np.zeros((len(points.state), sum(1 for f in engine.schema.state if f.effort)))
-    then = engine.rows(*points, push) if then is None else then
-    return (engine.rows(*points, _moved(push, i, EFFORT)) - then) / EFFORT
+def by_effort(engine: Engine, points: Points, then: Float[np.ndarray, "n s"], i: int) -> Float[np.ndarray, "n s"]:
+    """Derivatives of the next states, which are `then` without efforts, with respect to the i-th effort."""
+    effort = np.zeros((len(then), sum(1 for f in engine.schema.state if f.effort)))
+    effort[:, i] = EFFORT
+    return (engine.rows(*points, effort) - then) / EFFORT
 
 
 def _by_term(

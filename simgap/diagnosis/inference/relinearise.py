@@ -28,11 +28,12 @@ def relinearised(problem: Problem, fit: Fit, reach: float = NEAR) -> tuple[Probl
     """
     if not is_engine(problem.augmented.simulator):
         return problem, fit
-    at = None
+    differentiated = None
     for _ in range(RENEWALS):
-        derivatives = problem.chunks.table if at is not None and _close(at, fit.v) else None
-        at = at if derivatives is not None else fit.v
-        problem = _renewed(problem, fit.v, reach, [fit], derivatives)
+        if differentiated is not None and _close(differentiated, fit.v):
+            problem = _renewed(problem, fit.v, reach, [fit], problem.chunks.table)
+        else:
+            differentiated, problem = fit.v, _renewed(problem, fit.v, reach, [fit])
         initial = evaluate(problem, fit.v, fit.groups)
         if not np.isfinite(initial.loglik):
             return problem, initial

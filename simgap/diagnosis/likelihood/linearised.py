@@ -41,7 +41,7 @@ def tabulated(
 
     points = Points(np.asarray(v.phi), *map(by_row, (terms, x, command)))
     if derivatives is None:
-        table = tabulate(engine, points, _moving(augmented, fits) if fits else None)
+        table = tabulate(engine, points, _varied(augmented, fits) if fits else None)
     else:
         table = shifted(engine, points, jax.tree.map(by_row, derivatives))
     index = np.where(scored, np.cumsum(scored) - 1, 0)
@@ -49,7 +49,7 @@ def tabulated(
     return chunks._replace(table=jax.tree.map(lambda a: jnp.asarray(a.reshape(*rows, *a.shape[1:])[index]), table))
 
 
-def _moving(augmented: Augmented, fits: Sequence[Fit]) -> Inputs:
+def _varied(augmented: Augmented, fits: Sequence[Fit]) -> Inputs:
     """The inputs that the effects in these fits change."""
     on = np.any([entries != 0 for fit in fits for entries in (fit.v.theta, *fit.v.delta)], axis=0)
     on[[entry for fit in fits for group in fit.groups for entry in group.entries]] = True

@@ -104,9 +104,10 @@ def _typical_efforts(
     chosen = np.linspace(0, len(states) - 1, min(PROBES, len(states))).astype(int)
     held = np.repeat(commands[chosen, None], engine.parts, axis=1)
     points = Points(augmented.nominal.astype(float), np.zeros((len(chosen), len(engine.terms))), states[chosen], held)
-    sizes = {}
-    for i, (b, a) in enumerate(efforts(augmented.layout)):
-        response = by_effort(engine, points, i)
+    places, sizes = efforts(augmented.layout), {}
+    then = engine.rows(*points, np.zeros((len(chosen), len(places))))
+    for i, (b, a) in enumerate(places):
+        response = by_effort(engine, points, then, i)
         slope = np.abs(response[:, augmented.layout.velocity[b, a]])
         per_unit = float(np.median(slope[np.isfinite(slope)])) if np.isfinite(slope).any() else 0.0
         sizes[b, a] = _typical_size(changes[:, b, a][:, None])[0] / per_unit if per_unit > 0 else 1.0

@@ -23,8 +23,8 @@ CLEAR = 3.0
 SETTLED = float(np.log(20))
 """Minimum log-likelihood ratio [nats] of an experiment: odds of 20 to 1."""
 HELD_S = (0.1, 0.3)
-"""How long a random binary signal keeps its value [s]. It excites all frequencies up to the inverse, which is what
-separates dynamics that look alike [Ljung 1999, section 13.3]."""
+"""How long a random binary signal keeps its value [s]. It excites a wide band of frequencies, which separates
+dynamics that look alike [Ljung 1999, section 13.3]."""
 RUNS = 4
 """How often an experiment is run, each time from another place: one run of some seconds seldom decides."""
 REFITTED = 24
@@ -61,7 +61,7 @@ class NoExperiment(NamedTuple):
 def design(
     problem: Problem, a: Fit, b: Fit, about: Sequence[Hypothesis], regimes: Regimes, recordings: list[Recording]
 ) -> Experiment | NoExperiment:
-    """The sequence that best separates a from b, from a library of steps, reversals, ramps and sweeps of each command.
+    """The sequence that best separates a from b, from a library of commands such as steps, sweeps and random signals.
 
     `about`: the effects in question. The sequence commands one of their channels and moves one of their outputs. It
     keeps the robot within its recorded range.
@@ -91,8 +91,8 @@ def design(
         return NoExperiment(
             f"the best sequence of commands separates them by only {max(nats[best], 0.0):.1f} nats in {RUNS} runs"
         )
-    chosen_one = library[likely[best]]
-    return Experiment(np.arange(rows) * dt, chosen_one.commands, chosen_one.words, float(nats[best]))
+    _, words, commands = library[likely[best]]
+    return Experiment(np.arange(rows) * dt, commands, words, float(nats[best]))
 
 
 def _forecast(

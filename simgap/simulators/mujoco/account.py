@@ -68,13 +68,13 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
     Left out, each with the reason: effects that MJCF cannot express, effects that do not always act, and closest
     matches, whose names are not certain. SimgapError where the model cannot be compiled.
     """
-    own, late, unwritten = {term.effect for term in engine.terms}, {kind: {} for kind in LATE}, []
+    own, late, unwritten = {(term.effect, term.form) for term in engine.terms}, {kind: {} for kind in LATE}, []
     for effect in statement["effects"]:
         always = effect["support"]["kind"] in ("always", "since_baseline")  # the model is of the machine as it is now
         if always and effect["id"] in late:
             (constant,) = effect["constants"]
             late[effect["id"]] |= {name.removeprefix("cmd_"): constant["value"] for name in effect["channels"]}
-        elif not always or effect["id"] not in own:
+        elif not always or (effect["id"], effect["form"]) not in own:
             unwritten.append(f"{effect['statement']} {'MJCF cannot express it.' if always else NOT_ALWAYS}")
     unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["closest_matches"]]
     terms = np.asarray(terms_of(Augmented(cast(Engine, engine)), model.theta))
@@ -85,9 +85,10 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
 
 def _is_of(term: Term, effect: Mapping[str, Any], terms: Sequence[Term]) -> bool:
     """Whether a term belongs to an effect of a statement, which may act at several places that share a constant."""
-    alone = effect["where"] in [t.where for t in terms if t.effect == effect["id"]]
+    kind = effect["id"], effect["form"]
+    alone = effect["where"] in [t.where for t in terms if (t.effect, t.form) == kind]
     here = term.where == effect["where"] if alone else set(term.outputs) <= set(effect["outputs"])
-    return term.effect == effect["id"] and here
+    return (term.effect, term.form) == kind and here
 
 
 def _sizes(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:

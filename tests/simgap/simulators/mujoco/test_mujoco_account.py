@@ -1,5 +1,6 @@
 """What a diagnosis says of a model file: where it started, and what of its findings is written into the model."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ from examples.arm import JOINTS, MODEL
 from simgap.effects.augmented import Augmented
 from simgap.engines import Engine
 from simgap.simulators.mujoco import MujocoEngine, load, rescaled
-from simgap.simulators.mujoco.account import account
+from simgap.simulators.mujoco.account import account, patched
 
 STEP = 0.02
 
@@ -83,8 +84,15 @@ def test_parameters_that_were_off_are_named_in_their_units(engine: MujocoEngine)
 
 
 def effect(id: str, where: str, outputs: list[str], **more: Any) -> dict[str, Any]:
-    return {"id": id, "where": where, "outputs": outputs, "channels": [], "constants": [],
+    return {"id": id, "form": "", "where": where, "outputs": outputs, "channels": [], "constants": [],
             "support": {"kind": "always"}, "statement": f"{id} on {where}.", **more}  # fmt: skip
+
+
+def test_another_form_of_an_effect_than_the_engine_s_own_is_listed_as_unwritten(engine: MujocoEngine) -> None:
+    """MuJoCo computes a constant time between rows, but no uneven ones."""
+    uneven = effect("sampling_interval", "all", ["pan_pos"], form="stamped")
+    written = patched(engine, model(engine), statement(engine, "missing_physics", effects=[uneven]), Path())
+    assert written.unwritten == ("sampling_interval on all. MJCF cannot express it.",)
 
 
 def test_only_named_effects_are_written(engine: MujocoEngine) -> None:

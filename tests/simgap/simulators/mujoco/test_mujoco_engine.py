@@ -141,7 +141,7 @@ def test_viscous_drag_where_there_is_no_damping(tmp_path: Path) -> None:
 
 
 def test_the_time_between_rows_is_a_term(engine: MujocoEngine) -> None:
-    """Of rows that last longer than the recordings say, and of others beside them."""
+    """It changes the rows where it is on, and no others."""
     rows, terms = some(engine), none(engine, 6)
     (at,) = [i for i, t in enumerate(engine.terms) if t.effect == "sampling_interval"]
     terms[::2, at] = 0.1 * STEP
