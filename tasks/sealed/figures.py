@@ -44,7 +44,7 @@ def power(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
 def confusion(path: Path, rows: Sequence[Mapping[str, Any]], least: float, dpi: int) -> None:
     """Confusion matrix of single effects of at least `least` nats: the true one, and the first that is named."""
     rows = [r for r in rows if r["kind"] in ONE and r["strength"] >= least]
-    named = [r["told"].split("+")[0] or f"({r['verdict'].replace('_', ' ')})" for r in rows]
+    named = [r["answer"].split("+")[0] or f"({r['verdict'].replace('_', ' ')})" for r in rows]
     truths = sorted({r["truth"] for r in rows})
     verdicts = {name for name in named if name.startswith("(")}
     names = sorted({*named, *truths} - verdicts) + sorted(verdicts)

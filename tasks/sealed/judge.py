@@ -40,7 +40,7 @@ def judge(key: Key, statement: Statement | None, seconds: float | None, error: s
         "strength": key["strength"], "target": key["target"], "size": key["recipe"]["size"],
         "poor": key["recipe"]["poor"],
         "noise": key["recipe"]["level"], "glitches": key["recipe"]["outliers"], "wild": key["recipe"]["wild"],
-        "verdict": statement["verdict"], "told": "+".join(e["id"] for e in effects),
+        "verdict": statement["verdict"], "answer": "+".join(e["id"] for e in effects),
         "probability": effects[0]["probability"] if effects else math.nan, "seconds": seconds, "error": error,
         # Of a null, "inconclusive" claims nothing; how often it is said is counted by itself.
         "right_verdict": statement["verdict"] in (*key["verdicts"], *["inconclusive"] * (key["kind"] == "null")),

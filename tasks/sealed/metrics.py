@@ -93,8 +93,8 @@ def table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
               lambda r: r["constant_held"] or r["constant_error"] <= CLOSE),
         average("share of the true form's improvement, 50 steps", ".97", values(rows, "share"), np.median, rng),
         average("the same, black box", "-", values(rows, "share_black_box"), np.median, rng),
-        share("wrong names outside the vocabulary", "at most 3 %", of("outside"), lambda r: bool(r["told"])),
-        share("outside the vocabulary, told that something is there", "-", of("outside"), lambda r: r["right_verdict"]),
+        share("wrong names outside the vocabulary", "at most 3 %", of("outside"), lambda r: bool(r["answer"])),
+        share("outside the vocabulary, reported as missing physics", "-", of("outside"), lambda r: r["right_verdict"]),
         share("outside the vocabulary, surely wrong", "0", of("outside"), lambda r: r["confident_wrong"]),
         share("wrong parameters, called that and nothing else", "90 %", of("parameters"), lambda r: r["right_verdict"]),
         average("wrong parameters: median relative error after the refit", "5 %",
@@ -189,7 +189,7 @@ def _rank(r: Row) -> int | None:
     if kind == "parameters":
         return None if r["right_verdict"] else 7 if r["verdict"] in QUIET else 1
     if kind == "outside":
-        return 6 if r["told"] else 7 if not r["right_verdict"] and seen else None
+        return 6 if r["answer"] else 7 if not r["right_verdict"] and seen else None
     if r["confident_wrong"]:
         return 2
     if kind in MANY:

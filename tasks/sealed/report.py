@@ -8,7 +8,7 @@ from tasks.sealed import metrics
 from tasks.sealed.judge import Row
 from tasks.sealed.metrics import Score
 
-SHOWN = ("case", "kind", "truth", "strength", "size", "noise", "verdict", "told", "probability", "fault", "open_loop",
+SHOWN = ("case", "kind", "truth", "strength", "size", "noise", "verdict", "answer", "probability", "fault", "open_loop",
          "seconds")  # fmt: skip
 """Of every case, as far as its suite knows it."""
 

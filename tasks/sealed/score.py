@@ -168,7 +168,7 @@ def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Pa
     if "regime" in when:
         where = rows_of(when["regime"], features(state, command))
     truth = row["truth"] or "nothing"
-    said = row["told"] or row["verdict"].replace("_", " ")
+    said = row["answer"] or row["verdict"].replace("_", " ")
     probability = "" if np.isnan(row["probability"]) else f" ({row['probability']:.2f})"
     title = f"{row['case']}: {row['fault']}. Truth: {truth}, {row['strength']:.0f} nats. Told: {said}{probability}"
     figures.failure(path, title, STATE, order, None if where is None else where[:, 1:], dpi)

@@ -79,7 +79,7 @@ def test_a_tie_is_diagnosed_with_both_and_scored(workspace: SealedWorkspace, par
     found = read_json(workspace.statement(case))
     assert len(found["recordings"]["training_sessions"]) + len(found["recordings"]["heldout_sessions"]) == 4 + 3
     (row,) = score.rows.fn(workspace, score.open_keys.fn(workspace), lambda *_: None)
-    only_delay = row["told"] == "delay" and found["effects"][0]["credible_set"] == ["delay"]
+    only_delay = row["answer"] == "delay" and found["effects"][0]["credible_set"] == ["delay"]
     assert row["settled"] == only_delay
 
 
