@@ -113,6 +113,12 @@ class Table(NamedTuple):
     by_term_squared: Float[Array | np.ndarray, "... k s"]
 
 
+def rough_of(engine: Engine) -> Engine:
+    """A cheaper, less accurate version of the engine, from which derivatives are taken. An engine may have one, as its
+    attribute `rough`; otherwise it is the engine itself."""
+    return getattr(engine, "rough", engine)
+
+
 def is_engine(simulator: StepModel | Engine) -> TypeIs[Engine]:
     """Whether a simulator steps rows outside JAX."""
     return hasattr(simulator, "rows")

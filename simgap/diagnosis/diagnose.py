@@ -130,8 +130,8 @@ def _contestants(found: Explanation, rng: np.random.Generator) -> dict[str, Cont
 
 def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Sessions) -> Judgement:
     """Every contestant on held-out and fitted pieces; empty if the sessions are too short for a single piece."""
-    step = found.problem.augmented.simulator.time_step
-    fitted, unseen = scores.pieces_of(sessions.training, step), scores.pieces_of(sessions.heldout, step)
+    simulator = found.problem.augmented.simulator
+    fitted, unseen = (scores.pieces_of(recorded, simulator) for recorded in (sessions.training, sessions.heldout))
     if fitted is None or unseen is None:
         return Judgement({}, {}, ())
     layout, supports = found.problem.augmented.layout, found.known_supports
@@ -152,8 +152,8 @@ def _replayed(
 ) -> dict[str, Any] | None:
     """Open-loop errors of an engine with every model except the black box; None if there is nothing to replay."""
     simulator, layout = found.problem.augmented.simulator, found.problem.augmented.layout
-    pieces = replay.pieces_of(heldout, simulator.time_step)
-    if pieces is None or not is_engine(simulator):
+    pieces = replay.pieces_of(heldout, simulator) if is_engine(simulator) else None
+    if pieces is None:
         return None
     pieces = for_heldout(layout, pieces, found.known_supports)
     own = {name: model for name, model in contestants.items() if name != "black_box"}

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.engines import Engine, Table
+from simgap.engines import Engine, Table, rough_of
 
 STEP = 1e-3
 """Difference step of a state or a command, as a share of its standard deviation; in double precision."""
@@ -42,18 +42,21 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
     the state itself.
 
     varied: the inputs that get derivatives (None: all). Those of the others are zero, because each takes another
-    evaluation of all rows. Differences are one-sided; their error is far below that of a linear table.
+    evaluation of all rows. Differences are one-sided; their error is far below that of a linear table. They are those
+    of the engine's `rough_of`.
     """
     points = Points(*(np.asarray(a, np.float64) for a in points))
     phi, terms, state, command = points
     nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
     then = engine.rows(phi, terms, state, command, nil)
+    engine, exact = rough_of(engine), engine
+    roughly = then if engine is exact else engine.rows(phi, terms, state, command, nil)
     varied = varied or Inputs(True, True, np.ones(terms.shape[1], bool))
     spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
     off = np.zeros_like(state)
 
     def difference(at: Points, step: float) -> Float[np.ndarray, "n s"]:
-        return (engine.rows(*at, nil) - then) / step
+        return (engine.rows(*at, nil) - roughly) / step
 
     by_state = [difference(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
     by_command = [
@@ -62,8 +65,8 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
         for i, h in enumerate(spread[1])
     ]
     by_phi = [difference(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
-    by_push = [by_effort(engine, points, then, i) if varied.efforts else off for i in range(nil.shape[1])]
-    parabolas = [_by_term(engine, points, i, then, nil) if on else (off, off) for i, on in enumerate(varied.terms)]
+    by_push = [by_effort(engine, points, roughly, i) if varied.efforts else off for i in range(nil.shape[1])]
+    parabolas = [_by_term(engine, points, i, roughly, nil) if on else (off, off) for i, on in enumerate(varied.terms)]
     by_term, squared = ([parabola[order] for parabola in parabolas] for order in (0, 1))
     columns = [_stacked(c, state) for c in (by_state, by_command, by_phi, by_push, by_term, squared)]
     return _table(points, then, columns)

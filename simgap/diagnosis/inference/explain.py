@@ -23,7 +23,7 @@ from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, 
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
-from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
+from simgap.diagnosis.likelihood.segments import Chunks, cut, most_rows, rows_of
 from simgap.effects.augmented import Augmented
 from simgap.engines import Engine, is_engine
 from simgap.types import Recording, Sessions, StepModel
@@ -84,11 +84,11 @@ def explain(
     An engine is tabulated at the fit of the explanation `before`, or at its nominal parameters without one.
     """
     augmented, baseline = Augmented(simulator), sessions.baseline
-    scales, time_step = measure(augmented, sessions.fitted), simulator.time_step
-    chunks = cut(sessions.fitted, time_step)
+    scales, time_step, most = measure(augmented, sessions.fitted), simulator.time_step, most_rows(simulator)
+    chunks = cut(sessions.fitted, time_step, most=most)
     if baseline:
         chunks = opened(augmented.layout, chunks, [Since(len(baseline))])
-    unseen = cut(sessions.heldout, time_step, least=len(chunks.row))
+    unseen = cut(sessions.heldout, time_step, len(chunks.row), most)
     problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
     problem = _tabulated(problem, before)
     chunks = problem.chunks
@@ -144,7 +144,7 @@ def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:
     """The simulator with the effects that the baseline shows by itself, evaluated on all sessions."""
     asked.report(f"searching the baseline of {len(baseline)} sessions for effects")
-    chunks = cut(baseline, problem.scales.time_step, least=len(asked.chunks.row))
+    chunks = cut(baseline, problem.scales.time_step, len(asked.chunks.row), most_rows(problem.augmented.simulator))
     before, v = problem._replace(chunks=chunks), asked.nominal.v
     # The baseline has no held-out sessions.
     always = lambda *_: True  # noqa: E731

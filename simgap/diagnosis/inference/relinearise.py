@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import SETTLED, Model, Trial
+from simgap.diagnosis.inference.model import SETTLED, Trial
 from simgap.diagnosis.likelihood.directions import bounds_of
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.linearised import tabulated
@@ -100,8 +100,3 @@ def _sized(problem: Problem, tried: Trial) -> Fit:
 def itself(problem: Problem) -> Problem:
     """The problem with the engine itself in place of its tables."""
     return problem._replace(chunks=problem.chunks._replace(table=None))
-
-
-def fitted(problem: Problem, fit: Fit) -> Model:
-    """The model whose fit is continued from `fit` until it has converged."""
-    return Model(problem, *optimise(problem, fit))

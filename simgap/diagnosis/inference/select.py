@@ -21,7 +21,7 @@ from simgap.diagnosis.inference.model import (
     settled,
 )
 from simgap.diagnosis.inference.relaxation import room
-from simgap.diagnosis.inference.relinearise import carried_on, fitted, for_all, relinearised, standing
+from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
 from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials, value_of
@@ -194,7 +194,9 @@ def search(
             best = None
         refitted, again = True, not refitted
         if best is None and again:
-            model = fitted(for_all(free_problem, without.v), without)
+            model = decorrelated(for_all(free_problem, without.v), without)
+            without = model.fit
+            base = base if chosen else without
             continue
         if best is None:
             rounds.append(current)

@@ -14,7 +14,7 @@ from simgap.diagnosis.inference.posterior import differs_from_zero, spread
 from simgap.diagnosis.inference.whiteness import Whiteness, by_row, whiteness
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
-from simgap.diagnosis.likelihood.segments import Chunks, cut, rows_of
+from simgap.diagnosis.likelihood.segments import Chunks, cut, most_rows, rows_of
 from simgap.types import Sessions
 
 
@@ -82,8 +82,9 @@ def whiteness_of(problem: Problem, fit: Fit, baseline: int) -> Whiteness:
 def noise_effects_since(model: Model, sessions: Sessions, unseen: Chunks) -> list[NoiseEffect]:
     """Effects on the noise that the baseline does not show."""
     problem, fit, _ = model
-    time_step, least = problem.augmented.simulator.time_step, len(problem.chunks.row)
-    after, before = (cut(recordings, time_step, least) for recordings in (sessions.training, sessions.baseline))
+    simulator = problem.augmented.simulator
+    size = simulator.time_step, len(problem.chunks.row), most_rows(simulator)
+    after, before = (cut(recordings, *size) for recordings in (sessions.training, sessions.baseline))
     current = problem._replace(chunks=after)
     return noise_effects(
         current, evaluate(current, fit.v, fit.groups, fit.noise), unseen, before._replace(gate=0 * before.gate)

@@ -11,17 +11,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from simgap.effects.effect import HISTORY_ROWS
-from simgap.engines import Table
-from simgap.types import Recording
+from simgap.engines import Engine, Table, is_engine
+from simgap.types import Recording, StepModel
 
 LENGTH = 40
 """Scored rows of a segment."""
 RUN_IN = 10
 """Run-in rows before them, in which the estimate forgets its start."""
+FIRST = 2
+"""Steps at the start of a session that are run-in as well: the estimate starts at a measured state."""
 WARM = 30
 """Rows of past commands that run through the command path before a segment, so that lags start in the right state."""
 TURNS = 12
 """Turning points of each command before those rows, so that play starts in the right state; a real Spot has no more."""
+MOST, MOST_OF_ENGINE = 16_000, 4_000
+"""Rows at most that are searched, and those with an engine, whose tables take a hundred evaluations a row. What only
+more rows would show is smaller than the misfit of any law on a real machine."""
 FEWEST, SIZES = 32, 4
 """Least number of segments, and how many numbers there are between one power of two and the next. Segments are padded
 to these numbers, so that recording sets of similar size share compiled code. Fewer than 32 hardly take less time."""
@@ -72,28 +77,41 @@ def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
     return np.concatenate([values, np.zeros(TURNS - len(values))])
 
 
-def cut(recordings: Sequence[Recording], time_step: float, least: int = 0) -> Chunks:
-    """Segments of all sessions; the last one of a session is padded with rows that are not scored.
+def cut(recordings: Sequence[Recording], time_step: float, least: int = 0, most: int = MOST) -> Chunks:
+    """Segments of all sessions, or at regular intervals if they have more than `most` rows; the last one of a session
+    is padded with rows that are not scored.
 
     Unscored segments pad their number, to at least `least`: sets of the same number share compiled code.
     """
-    rows = RUN_IN + LENGTH + 1
-    parts: list[tuple] = []
-    for s, r in enumerate(recordings):
-        steps = len(r.time_s) - 1
-        interval = np.append(np.diff(r.time_s) / time_step, 1.0)
-        for first in range(0, max(steps, 1), LENGTH):
-            start = max(first - RUN_IN, 0)
-            index = np.minimum(np.arange(start, start + rows), steps)
-            successor = np.arange(start + 1, start + rows)
-            # A session's first rows are run-in as well: the estimate starts at a measured state.
-            counted = (successor > max(first, 2)) & (successor <= min(first + LENGTH, steps))
-            parts.append((r.state[index], r.command[index], *sent_before(r.command, start),
-                          r.time_s[index] - r.time_s[0], interval[index], counted, np.ones((1, rows)), s,
-                          start))  # fmt: skip
+    firsts = [(s, first) for s, r in enumerate(recordings) for first in range(0, max(len(r.time_s) - 1, 1), LENGTH)]
+    if len(firsts) > most // LENGTH:
+        firsts = [firsts[i] for i in np.linspace(0, len(firsts) - 1, most // LENGTH).round().astype(int)]
+    parts = [_segment(s, recordings[s], first, time_step) for s, first in firsts]
     *arrays, counted, gate, s, start = parts[0]
     padding = (*arrays, np.zeros_like(counted), gate, s, start)
     return as_chunks([*parts, *[padding] * (max(filled(len(parts)), least) - len(parts))])
+
+
+def scorable(recordings: Sequence[Recording]) -> int:
+    """Number of rows that `cut` scores if it leaves none out: all but the first ones of each session."""
+    return sum(max(len(r.time_s) - 1 - FIRST, 0) for r in recordings)
+
+
+def _segment(s: int, r: Recording, first: int, time_step: float) -> tuple:
+    """Fields of the segment of session s whose scored rows begin at row `first`."""
+    rows, steps = RUN_IN + LENGTH + 1, len(r.time_s) - 1
+    start = max(first - RUN_IN, 0)
+    index = np.minimum(np.arange(start, start + rows), steps)
+    successor = np.arange(start + 1, start + rows)
+    counted = (successor > max(first, FIRST)) & (successor <= min(first + LENGTH, steps))
+    time_s, interval = r.time_s[index], (r.time_s[np.minimum(index + 1, steps)] - r.time_s[index]) / time_step
+    return (r.state[index], r.command[index], *sent_before(r.command, start), time_s - r.time_s[0],
+            np.where(index < steps, interval, 1.0), counted, np.ones((1, rows)), s, start)  # fmt: skip
+
+
+def most_rows(simulator: StepModel | Engine) -> int:
+    """Rows at most that are searched, and from which forecasts start."""
+    return MOST_OF_ENGINE if is_engine(simulator) else MOST
 
 
 def filled(count: int) -> int:

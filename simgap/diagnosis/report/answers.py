@@ -8,6 +8,7 @@ import numpy as np
 from simgap.diagnosis.config import CREDIBLE, POWER, Z95
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.explanation import Explanation
+from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.report.names import title
 from simgap.diagnosis.validation import scores
@@ -106,6 +107,9 @@ def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
     if untested := untested_of(found):
         effects = ", ".join(map(title, untested))
         notes.append(f"Could not test {effects}: the simulator does not stay finite there.")
+    searched, recorded = int(np.asarray(found.problem.chunks.counts).sum()), scorable(sessions.fitted)
+    if searched < recorded:
+        notes.append(f"{searched:,} of {recorded:,} transitions were searched, in pieces at regular intervals.")
     if len(sessions.heldout) < scores.LEAST_SESSIONS:
         note = "There are few held-out sessions: intervals of their scores are a bootstrap over pieces of sessions."
         notes.append(note)

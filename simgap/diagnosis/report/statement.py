@@ -14,6 +14,7 @@ from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.two_sample import whiteness_of
 from simgap.diagnosis.inference.whiteness import Whiteness
 from simgap.diagnosis.likelihood.problem import evaluate
+from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import figures, localisation, noise_figures, wording
 from simgap.diagnosis.report.answers import (
     alternatives_of,
@@ -88,7 +89,7 @@ def statement(
             "training_sessions": [r.name for r in sessions.training],
             "heldout_sessions": [r.name for r in sessions.heldout],
             "baseline": [r.name for r in sessions.baseline] or None,
-            "transitions": int(np.asarray(problem.chunks.counts).sum()),
+            "transitions": scorable(sessions.fitted), "searched": int(np.asarray(problem.chunks.counts).sum()),
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
         "located": located(found, sessions.fitted, verdict, outcome.black_box, whiteness),

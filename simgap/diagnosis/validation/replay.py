@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, most_rows
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
+from simgap.engines import Engine
 from simgap.kinematics import wrapped
 from simgap.rows import by_row
 from simgap.types import Recording
@@ -16,11 +17,12 @@ LONGEST_S = 5.0
 """Length of the replayed pieces [s]; that of the longest session if it is shorter."""
 
 
-def pieces_of(heldout: Sequence[Recording], time_step: float) -> Chunks | None:
-    """Consecutive pieces to replay; None if all sessions are too short."""
+def pieces_of(heldout: Sequence[Recording], engine: Engine) -> Chunks | None:
+    """Consecutive pieces to replay, or every so many of them for `most_rows`; None if all sessions are too short."""
     longest = max(len(r.time_s) for r in heldout) - RUN_IN - 1
-    rows = min(round(LONGEST_S / time_step), longest)
-    return windows(heldout, time_step, rows, rows) if rows > 0 else None
+    rows = min(round(LONGEST_S / engine.time_step), longest)
+    every = -(-sum(len(r.time_s) for r in heldout) // most_rows(engine))
+    return windows(heldout, engine.time_step, rows, every * rows) if rows > 0 else None
 
 
 def replay(problem: Problem, contestants: Mapping[str, Contestant], pieces: Chunks) -> dict[str, Any]:

@@ -12,19 +12,21 @@ from scipy.special import stdtrit
 
 from simgap.diagnosis.config import LEAST_SESSIONS, LEAST_SHARE, LEVEL, MARGIN
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, most_rows
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
 from simgap.diagnosis.validation.bootstrap import Draws, averages, averages_known, interval, resample
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
+from simgap.engines import Engine
 from simgap.kinematics import wrapped
 from simgap.layout import Layout, X, Y, Z
 from simgap.rows import by_row
-from simgap.types import Recording
+from simgap.types import Recording, StepModel
 
 HORIZONS = (1, 10, 50)
 LEAST_ROWS = RUN_IN + max(HORIZONS) + 1
 """Minimum rows of a session that can be scored at all horizons."""
 STRIDE = 5
+"""Rows from the start of one piece to that of the next; a multiple of it where there are more than `most_rows`."""
 RUN = 10
 """Minimum pieces of a run; runs are the bootstrap's units where sessions are few (see `_unit`)."""
 
@@ -217,10 +219,11 @@ def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random
     return interval(np.clip(named_gains / np.maximum(box_gains, 1e-9), 0.0, 1.0))
 
 
-def pieces_of(recordings: Sequence[Recording], time_step: float) -> Chunks | None:
+def pieces_of(recordings: Sequence[Recording], simulator: StepModel | Engine) -> Chunks | None:
     """Pieces to score, with the longest horizon that at least one session allows; None if there is none."""
+    stride = STRIDE * -(-sum(len(r.time_s) for r in recordings) // most_rows(simulator))
     for horizon in sorted(HORIZONS, reverse=True):
-        pieces = windows(recordings, time_step, horizon, STRIDE)
+        pieces = windows(recordings, simulator.time_step, horizon, stride)
         if pieces is not None:
             return pieces
     return None

@@ -47,7 +47,7 @@ def load(
     robot = machine(plain, columns)
     ready = _ready(source.spec, payloads.places(plain, robot))
     scaled, switched = parameters(ready, robot), switches(ready, robot, time_step)
-    engine = MujocoEngine(source, ready, robot, time_step, 1, 1, scaled, switched, np.zeros(len(scaled)))
+    engine = MujocoEngine(source, ready, robot, time_step, 1, 1, 1, scaled, switched, np.zeros(len(scaled)))
     return accurate(engine)
 
 

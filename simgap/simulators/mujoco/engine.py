@@ -5,7 +5,7 @@
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import mujoco
@@ -15,13 +15,12 @@ from mujoco import rollout
 
 from simgap.engines import Term
 from simgap.simulators.mujoco.attributes import Scaled
+from simgap.simulators.mujoco.changing import apply
 from simgap.simulators.mujoco.machine import Machine
 from simgap.simulators.mujoco.reading import Source
-from simgap.simulators.mujoco.terms import Added, Switch, Timed, force_range
+from simgap.simulators.mujoco.terms import Switch
 from simgap.types import Parameter, Schema
 
-HELD = 1e10
-"""Armature of a joint that is held still: no torque moves it."""
 CHUNK = 2048
 """Rows that are stepped in one batch; all their substeps are in memory."""
 _FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -43,8 +42,8 @@ class MujocoEngine:
 
     source: the model as it was read. model: compiled, with a massless body for each payload; never changed.
     time_step: nominal interval between rows [s]. steps: MuJoCo's steps per row. parts: parts of a row in which commands
-    may differ. scaled, switches: what the parameters and the terms change. nominal: the parameters from which a search
-    starts; zero for the model as it is.
+    may differ. rough_steps: steps per row of `rough`. scaled, switches: what the parameters and the terms change.
+    nominal: the parameters from which a search starts; zero for the model as it is.
     """
 
     source: Source
@@ -53,6 +52,7 @@ class MujocoEngine:
     time_step: float
     steps: int
     parts: int
+    rough_steps: int
     scaled: tuple[Scaled, ...]
     switches: tuple[Switch, ...]
     nominal: Float[np.ndarray, " p"]
@@ -77,6 +77,15 @@ class MujocoEngine:
         """Parts of the model that are left out or cannot be diagnosed, in words."""
         return (*self.source.notes, *self.machine.notes)
 
+    @cached_property
+    def rough(self) -> "MujocoEngine":
+        """The engine with fewer, longer steps: its derivatives are as good, and cost less."""
+        if self.rough_steps == self.steps:
+            return self
+        model = copy.copy(self.model)
+        model.opt.timestep = self.time_step / self.rough_steps
+        return replace(self, model=model, steps=self.rough_steps)
+
     def words(self, phi: Float[np.ndarray, " p"]) -> list[str]:
         """The model's parameters and the fitted ones, in physical units."""
         return [s.words(float(value)) for s, value in zip(self.scaled, phi, strict=True)]
@@ -97,7 +106,7 @@ class MujocoEngine:
         kinds, kind = np.unique(terms, axis=0, return_inverse=True)
         with self._worker() as worker:
             for k, values in enumerate(kinds):
-                self._apply(worker.model, worker.data, np.asarray(phi, float), values)
+                apply(self, worker.model, worker.data, phi, values)
                 at = np.flatnonzero(kind.ravel() == k)
                 for rows in np.split(at, range(CHUNK, len(at), CHUNK)):
                     ends = self._roll(worker, state[rows], command[rows], effort[rows], self.steps)
@@ -115,14 +124,14 @@ class MujocoEngine:
         held = np.repeat(np.asarray(command, float)[:-1], self.steps, axis=0)
         no_effort = np.zeros((1, len(self.machine.joints)))
         with self._worker() as worker:
-            self._apply(worker.model, worker.data, np.asarray(phi, float), np.asarray(terms, float))
+            apply(self, worker.model, worker.data, phi, terms)
             states = self._roll(worker, np.asarray(start, float)[None], held[None], no_effort, self.steps)[0]
         return np.vstack([start, states])
 
     def compiled(self, phi: Float[np.ndarray, " p"], terms: Float[np.ndarray, " k"]) -> mujoco.MjModel:
         """A new model with these parameters and terms, which the caller may change."""
         model = copy.copy(self.model)
-        self._apply(model, mujoco.MjData(model), np.asarray(phi, float), np.asarray(terms, float))
+        apply(self, model, mujoco.MjData(model), phi, terms)
         return model
 
     @cached_property
@@ -142,39 +151,6 @@ class MujocoEngine:
             yield worker
         finally:
             self._idle.append(worker)
-
-    def _apply(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        phi: Float[np.ndarray, " p"],
-        terms: Float[np.ndarray, " k"],
-    ) -> None:
-        """Set parameters and terms in a copy of the model, whatever was set before."""
-        model.opt.timestep = self.model.opt.timestep
-        for name in self._arrays:
-            getattr(model, name)[:] = getattr(self.model, name)
-        for scaled, value in zip(self.scaled, phi, strict=True):
-            for slot in scaled.slots:
-                getattr(model, slot.array)[slot.index] *= np.exp(value)
-        for switch, value in zip(self.switches, terms, strict=True):
-            if isinstance(switch, Added):
-                for slot in switch.slots:
-                    getattr(model, slot.array)[slot.index] += value
-            elif isinstance(switch, Timed):
-                model.opt.timestep += value / self.steps
-            elif value > 0:
-                model.actuator_forcerange[switch.index] = force_range(self.model, switch.index, value)
-                model.actuator_forcelimited[switch.index] = True
-        mujoco.mj_setConst(model, data)  # what MuJoCo derives from masses and armatures
-        model.dof_armature[list(self.machine.held)] += HELD
-
-    @cached_property
-    def _arrays(self) -> tuple[str, ...]:
-        """Names of the arrays that parameters or terms change."""
-        slots = [s for part in (*self.scaled, *self.switches) if isinstance(part, Scaled | Added) for s in part.slots]
-        names = {s.array for s in slots} | {"actuator_forcerange", "actuator_forcelimited", "dof_armature"}
-        return tuple(sorted(names))
 
     @cached_property
     def _rest(self) -> Float[np.ndarray, " full"]:

@@ -23,6 +23,8 @@ REFINEMENTS = (1, 2, 4)
 """Factors by which the fourth-order step is shortened, until it is accurate."""
 ALIKE = 1e-3
 """A step is accurate if half the step changes no next state by more than this [rad, rad/s, m, m/s]."""
+ROUGHLY = 1e-2
+"""A step is good enough for derivatives if the accurate step changes no next state by more than this."""
 STIFF = 8
 """Factor by which the implicit first-order step is shortened, where no fourth-order one is accurate."""
 PROBES, MOTION = 64, 0.3
@@ -36,12 +38,20 @@ def accurate(engine: MujocoEngine) -> MujocoEngine:
     MuJoCo's default integrators are of first order. At 2 ms they lead by 1 ms, which would look like a sensor delay.
     """
     steps, parts = cut(engine.time_step, COARSER * engine.source.spec.option.timestep)
-    for refinement in REFINEMENTS:
-        candidate = stepped(engine, steps * refinement, parts, _FOURTH)
-        ends, finer = _probed(candidate), _probed(stepped(engine, 2 * steps * refinement, parts, _FOURTH))
-        if np.isfinite(ends).all() and np.nanmax(np.abs(ends - finer), initial=0.0) < ALIKE:
-            return candidate
+    candidates = [stepped(engine, steps * refinement, parts, _FOURTH) for refinement in REFINEMENTS]
+    ends: list[Float[np.ndarray, "n s"]] = []
+    for candidate in candidates:
+        finer = _probed(stepped(engine, 2 * candidate.steps, parts, _FOURTH))
+        ends.append(_probed(candidate))
+        if _alike(ends[-1], finer, ALIKE):
+            rough = next(c for c, end in zip(candidates, ends, strict=False) if _alike(end, finer, ROUGHLY))
+            return replace(candidate, rough_steps=rough.steps)
     return stepped(engine, STIFF * steps, parts, _IMPLICIT)
+
+
+def _alike(ends: Float[np.ndarray, "n s"], finer: Float[np.ndarray, "n s"], most: float) -> bool:
+    """Whether all next states are finite, and none differs by `most`."""
+    return bool(np.isfinite(ends).all() and np.nanmax(np.abs(ends - finer), initial=0.0) < most)
 
 
 def quick(engine: MujocoEngine) -> MujocoEngine:
@@ -53,7 +63,7 @@ def stepped(engine: MujocoEngine, steps: int, parts: int, integrator: int) -> Mu
     """The engine with this number of steps per row, and one of MuJoCo's integrators."""
     model = copy.copy(engine.model)
     model.opt.timestep, model.opt.integrator = engine.time_step / steps, integrator
-    return replace(engine, model=model, steps=steps, parts=parts)
+    return replace(engine, model=model, steps=steps, parts=parts, rough_steps=steps)
 
 
 def cut(time_step: float, own: float) -> tuple[int, int]:

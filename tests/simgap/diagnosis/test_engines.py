@@ -8,7 +8,7 @@ from servos import JOINTS, Push, Servos, recorded
 
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.explain import split
+from simgap.diagnosis.inference.explain import explain, split
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, with_value
 from simgap.diagnosis.likelihood.scales import measure
@@ -140,6 +140,15 @@ def test_friction_of_a_joint_is_named_alone(velocities: bool) -> None:
     (effect,) = found.statement["effects"]
     assert (effect["id"], effect["where"]) == ("coulomb_friction", "shoulder")
     assert effect["constants"][0]["value"] == pytest.approx(0.3, rel=0.1)
+
+
+def test_where_only_parameters_were_far_off_the_innovations_of_the_fit_are_decorrelated_and_nothing_is_named() -> None:
+    far = (1.0, -0.9, 0.9, 0.9)
+    recordings = recorded(phi=far, sessions=4, rows=160)
+    found = explain(Servos(), Sessions(*split(recordings)), np.random.default_rng(0), print)
+    assert not found.anything
+    np.testing.assert_allclose(found.fit.v.phi, far, atol=0.05)
+    np.testing.assert_allclose(np.corrcoef(found.fit.e.T), np.eye(4), atol=0.15)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,18 @@ from examples.drive import DRIVE
 from simgap.diagnosis.likelihood.derivatives import BATCH
 from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, filtered, gain_matrix, tangents
 from simgap.diagnosis.likelihood.scales import measure
-from simgap.diagnosis.likelihood.segments import FEWEST, LENGTH, SIZES, TURNS, WARM, as_chunks, cut, filled, sent_before
+from simgap.diagnosis.likelihood.segments import (
+    FEWEST,
+    LENGTH,
+    SIZES,
+    TURNS,
+    WARM,
+    as_chunks,
+    cut,
+    filled,
+    scorable,
+    sent_before,
+)
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import HISTORY_ROWS, Row
@@ -153,6 +164,26 @@ def test_every_transition_counts_once_and_none_crosses_sessions(rows: list[int])
         np.testing.assert_array_equal(after[:, 1], before[:, 1] + 1)
         # The first rows let the estimate in.
         np.testing.assert_array_equal(np.sort(after[:, 1]), np.arange(3, n))
+
+
+@given(st.lists(st.integers(2, 900), min_size=1, max_size=4), st.integers(1, 12))
+@settings(max_examples=30, deadline=None)
+def test_of_many_rows_segments_at_regular_intervals_are_searched(rows: list[int], segments: int) -> None:
+    recordings = [session(s, n) for s, n in enumerate(rows)]
+    everything, some = (cut(recordings, 1 / 15, most=most) for most in (10**6, segments * LENGTH))
+    assert np.asarray(everything.counts).sum() == scorable(recordings)
+    used = np.asarray(some.counts).any(1)
+    assert used.sum() <= segments
+    of: dict[tuple[int, int], int] = {}
+    for i, place in enumerate(zip(everything.session, everything.row, strict=True)):
+        of.setdefault(place, i)  # segments that pad the number repeat the first
+    places = sorted(of[s, r] for s, r in zip(some.session[used], some.row[used], strict=True))
+    # One place in every so many, up to the rounding of both ends and segments without a scored row.
+    assert np.ptp(np.diff(places)) <= 2 if len(places) > 1 and min(rows) > LENGTH else len(places) == used.sum()
+    for field in ("state", "command", "past", "turns", "interval"):
+        found = np.asarray(getattr(some, field))[used]
+        whole = [of[s, r] for s, r in zip(some.session[used], some.row[used], strict=True)]
+        np.testing.assert_array_equal(found, np.asarray(getattr(everything, field))[whole])
 
 
 @given(st.lists(st.integers(30, 170), min_size=1, max_size=3))

@@ -14,6 +14,7 @@ from simgap.effects.augmented import Augmented
 from simgap.simulators.mujoco import MujocoEngine, Servos, load
 from simgap.simulators.mujoco.steps import cut, quick
 from simgap.simulators.mujoco.steps import stepped as stepped_engine
+from simgap.simulators.tables import Points, tabulate
 from simgap.types import SimgapError
 
 STEP = 0.02
@@ -268,6 +269,19 @@ def test_rows_hardly_depend_on_how_long_steps_are(tmp_path: Path, time_step: flo
     rows = some(engine)
     ends = [e.rows(e.nominal, none(e, 6), *rows) for e in (engine, finer)]
     np.testing.assert_allclose(*ends, rtol=2e-3, atol=2e-3)
+
+
+def test_derivatives_are_taken_from_a_cheaper_engine_and_are_as_good(tmp_path: Path) -> None:
+    """A stiff servo needs short steps to be followed to a millirad per second; its derivatives do not."""
+    engine = load(write(tmp_path, arm().replace('kp="20" kv=".5"', 'kp="100" kv="1"')), STEP)
+    assert engine.rough.steps < engine.steps
+    assert engine.rough.rough is engine.rough
+    state, command, _ = some(engine)
+    at = Points(engine.nominal, none(engine, 6), state, command)
+    cheap, dear = tabulate(engine, at), tabulate(replace(engine, rough_steps=engine.steps), at)
+    for name in ("then", "by_state", "by_command", "by_phi", "by_effort", "by_term"):
+        a, b = getattr(cheap, name), getattr(dear, name)
+        np.testing.assert_allclose(a, b, atol=0.01 * np.abs(b).max(), err_msg=name)
 
 
 def test_a_stiff_model_is_stable(tmp_path: Path) -> None:
