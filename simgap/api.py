@@ -62,7 +62,7 @@ def diagnose(
     report = progress or (lambda _: None)
     used = started(used, sessions, report)
     diagnosis = find(used.simulator, used.name, sessions, seed, report)
-    return Result.of(used, diagnosis, errors)
+    return Result.of(used, sessions, diagnosis, errors)
 
 
 def load(

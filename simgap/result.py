@@ -19,7 +19,7 @@ from simgap.formats.folders import make_folder
 from simgap.loading.load import Used
 from simgap.page import diagnosis as pages
 from simgap.simulators.augmented import AugmentedSimulator
-from simgap.types import ConfigError, StepModel
+from simgap.types import ConfigError, Sessions, StepModel
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,15 @@ class Result:
     left_out: tuple[str, ...] = ()
 
     @staticmethod
-    def of(used: Used, found: Diagnosis, left_out: Sequence[str]) -> "Result":
+    def of(used: Used, sessions: Sessions, found: Diagnosis, left_out: Sequence[str]) -> "Result":
         """The result for a simulator; for a model file also in the model's own terms."""
         if used.model_file is None:
             return Result(used.simulator, found, tuple(left_out))
         from simgap.simulators.mujoco import account
 
         engine, file = cast(Any, used.simulator), f"{Path(used.name).stem}{diagnoses.PATCHED}"
-        statement = account.account(engine, found.model, found.statement, file) | {"model_file": used.model_file}
+        statement = account.account(engine, found.model, found.statement, file, sessions.fitted)
+        statement |= {"model_file": used.model_file}
         return Result(engine, found._replace(statement=statement), tuple(left_out))
 
     @property

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from prefect import task
 
-from simgap.diagnosis.inference.explain import explain
 from simgap.formats.arrays import load_arrays, save_arrays
 from simgap.formats.documents import read_json, write_json
 from simgap.formats.effects import augmented_arrays, augmented_spot
@@ -80,6 +79,8 @@ def find(
     # Should this fail, what was found by other code must not pass for its result.
     remove_file(record, workspace.root)
     start, spot = clock(), Spot(time_step=time_step)
+    from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
+
     found = explain(spot, used, np.random.default_rng(share.seed), report)
     simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
     save_arrays(arrays, augmented_arrays(simulator))

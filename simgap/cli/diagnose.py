@@ -31,7 +31,7 @@ def diagnose_folder(folders: Folders, simulator: str | ModelFile, out: Path, see
         start = time.perf_counter()
         with progress.steps("diagnosing") as step:
             found = diagnose(used.simulator, used.name, sessions, seed, step)
-        result = Result.of(used, found, errors)
+        result = Result.of(used, sessions, found, errors)
         result.save(out)
     seconds = time.perf_counter() - start
     progress.say(f"\n{summary(result.statement, out, seconds)}")

@@ -27,9 +27,9 @@ TURNS = 12
 MOST, MOST_OF_ENGINE = 16_000, 4_000
 """Rows at most that are searched, and those with an engine, whose tables take a hundred evaluations a row. What only
 more rows would show is smaller than the misfit of any law on a real machine."""
-FEWEST, SIZES = 32, 4
-"""Least number of segments, and how many numbers there are between one power of two and the next. Segments are padded
-to these numbers, so that recording sets of similar size share compiled code. Fewer than 32 hardly take less time."""
+FEWEST, FEW, SIZES = 16, 32, 4
+"""Least number of segments, the next number, and how many numbers there are between one power of two and the next.
+Segments are padded to these numbers, so that recording sets of similar size share compiled code."""
 
 
 class Chunks(NamedTuple):
@@ -116,7 +116,9 @@ def most_rows(simulator: StepModel | Engine) -> int:
 
 def filled(count: int) -> int:
     """The number to which `count` segments are padded."""
-    step = max(FEWEST, 2 ** (count.bit_length() - 1) // SIZES)
+    if count <= FEWEST:
+        return FEWEST
+    step = max(FEW, 2 ** (count.bit_length() - 1) // SIZES)
     return -(-count // step) * step
 
 

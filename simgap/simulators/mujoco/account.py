@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from jaxtyping import Float
 
 from simgap.diagnosis.report import wording
 from simgap.effects.augmented import Augmented
@@ -16,7 +17,8 @@ from simgap.engines import Engine, Term
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.patch import Patched, patch
 from simgap.simulators.mujoco.replay import rescaling
-from simgap.types import SimgapError
+from simgap.simulators.mujoco.sag import sags, words
+from simgap.types import Recording, SimgapError
 
 if TYPE_CHECKING:
     from simgap.diagnosis.diagnose import AugmentedModel
@@ -29,13 +31,20 @@ CURED = ("missing_physics", "parameters_only")
 """Verdicts with findings to write into the model."""
 
 
-def account(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], file: str) -> dict[str, Any]:
+def account(
+    engine: MujocoEngine,
+    model: AugmentedModel,
+    statement: Mapping[str, Any],
+    file: str,
+    recordings: Sequence[Recording],
+) -> dict[str, Any]:
     """The statement with parameters in their units, notes on what of the model is left out, and the changes in `file`.
 
-    If the stiffness of the model's servos was far off, the statement says so first.
+    If the stiffness of the model's servos was far off, the statement says so first; how far they sag it says last.
     """
     statement, start = _from_start(engine, statement), rescaling(engine)
     notes, written = [*filter(None, [start]), *engine.notes, *statement["notes"]], None
+    found = sags(engine, model.phi, _terms(engine, model), recordings)
     if start or statement["verdict"] in CURED:
         try:
             result = patched(engine, model, statement, Path())
@@ -46,10 +55,18 @@ def account(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
             }
         except SimgapError as error:
             notes.append(f"The findings could not be written into the model: {error}")
-    said = {**statement, "notes": notes, "parameters": _sizes(engine, statement["parameters"]), "patched": written}
-    if not start and said["verdict"] != "parameters_only":  # else its words are about parameters, which have units now
-        return said
-    return {**said, "statement": " ".join(filter(None, [start, wording.statement(said)]))}
+    said = {**statement, "notes": notes, "parameters": _sizes(engine, statement["parameters"]), "patched": written,
+            "sag": [asdict(s) for s in found]}  # fmt: skip
+    sagging = words(found) if said["verdict"] in CURED else ""
+    # The words are about parameters, which have units now.
+    renewed = bool(start) or said["verdict"] == "parameters_only"
+    parts = [start, wording.statement(said) if renewed else said["statement"], sagging]
+    return {**said, "statement": " ".join(filter(None, parts))}
+
+
+def _terms(engine: MujocoEngine, model: AugmentedModel) -> Float[np.ndarray, " k"]:
+    """The engine's terms in a model."""
+    return np.asarray(terms_of(Augmented(cast(Engine, engine)), model.theta))
 
 
 def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,7 +94,7 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
         elif not always or (effect["id"], effect["form"]) not in own:
             unwritten.append(f"{effect['statement']} {'MJCF cannot express it.' if always else NOT_ALWAYS}")
     unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["closest_matches"]]
-    terms = np.asarray(terms_of(Augmented(cast(Engine, engine)), model.theta))
+    terms = _terms(engine, model)
     named = [any(_is_of(term, e, engine.terms) for e in statement["effects"]) for term in engine.terms]
     written = patch(engine, model.phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
     return Patched(written.xml, written.changes, (*written.unwritten, *unwritten))

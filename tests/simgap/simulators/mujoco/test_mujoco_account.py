@@ -12,8 +12,12 @@ from simgap.effects.augmented import Augmented
 from simgap.engines import Engine
 from simgap.simulators.mujoco import MujocoEngine, load, rescaled
 from simgap.simulators.mujoco.account import account, patched
+from simgap.simulators.mujoco.sag import sags
+from simgap.types import Recording
 
 STEP = 0.02
+RESTING = [Recording("level", np.arange(30) * STEP, np.zeros((30, 6)), np.zeros((30, 3)))]
+"""The arm stretched out level, where its weight pulls most."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +48,7 @@ def model(engine: MujocoEngine, **terms: float) -> Any:
 
 def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine) -> None:
     nearer = rescaled(engine, 1 / 110)
-    result = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml")
+    result = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml", RESTING)
     words = "The model's position servos are about 110 times too stiff (kp)."
     assert result["verdict"] == "parameters_only"
     assert [result[key][0].startswith(words) for key in ("warnings", "notes")] == [True, True]
@@ -61,7 +65,7 @@ def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine
 
 
 def test_a_model_that_is_not_stays_what_it_was_said_to_be(engine: MujocoEngine) -> None:
-    result = account(engine, model(engine), statement(engine, "nothing"), "arm.patched.xml")
+    result = account(engine, model(engine), statement(engine, "nothing"), "arm.patched.xml", RESTING)
     assert (result["verdict"], result["statement"], result["warnings"], result["notes"]) == (
         "nothing",
         "Nothing.",
@@ -79,7 +83,7 @@ def test_parameters_that_were_off_are_named_in_their_units(engine: MujocoEngine)
         "ci95": {n: [-0.1, 0.1] for n in names} | {"kp shoulder": [np.log(0.69), np.log(0.71)]},
         "ranges": {n: [-1.0, 1.0] for n in names},
     }
-    words = account(engine, model(engine), said, "arm.patched.xml")["statement"]
+    words = account(engine, model(engine), said, "arm.patched.xml", RESTING)["statement"]
     assert "were off and are refitted: kp shoulder is 56 N m/rad, not 80 N m/rad. With" in words
 
 
@@ -108,6 +112,7 @@ def test_only_named_effects_are_written(engine: MujocoEngine) -> None:
         model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.2, payload_forearm=0.4),
         statement(engine, "missing_physics", effects=[named], closest_matches=matches),
         "arm.patched.xml",
+        RESTING,
     )
     changes = [(c["element"], c["attribute"], c["after"]) for c in result["patched"]["changes"]]
     assert changes == [("joint pan", "frictionloss", "0.3")]
@@ -125,6 +130,7 @@ def test_an_effect_that_joints_share_is_written_at_each(engine: MujocoEngine) ->
         model(engine, coulomb_friction_pan=0.3, coulomb_friction_elbow=0.3, coulomb_friction_shoulder=0.1),
         statement(engine, "missing_physics", effects=[shared, late]),
         "arm.patched.xml",
+        RESTING,
     )
     changes = [(c["element"], c["attribute"], c["after"]) for c in result["patched"]["changes"]]
     assert changes == [
@@ -135,7 +141,9 @@ def test_an_effect_that_joints_share_is_written_at_each(engine: MujocoEngine) ->
 def test_what_changed_since_a_baseline_is_written_for_the_machine_is_as_it_is_now(engine: MujocoEngine) -> None:
     since = {"channels": ["cmd_pan"], "constants": [{"name": "delay", "value": 0.03}]}
     late = effect("delay", "cmd_pan", [], support={"kind": "since_baseline"}, **since)
-    found = account(engine, model(engine), statement(engine, "missing_physics", effects=[late]), "arm.patched.xml")
+    found = account(
+        engine, model(engine), statement(engine, "missing_physics", effects=[late]), "arm.patched.xml", RESTING
+    )
     assert [c["attribute"] for c in found["patched"]["changes"]] == ["delay"]
     assert found["patched"]["unwritten"] == []
 
@@ -145,9 +153,40 @@ def test_what_mjcf_has_no_word_for_is_listed_with_the_reason(engine: MujocoEngin
         effect("backlash", "cmd_pan", []),
         effect("delay", "cmd_pan", [], support={"kind": "from", "from_s": 3.0}),
     ]
-    result = account(engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml")
+    result = account(
+        engine, model(engine), statement(engine, "missing_physics", effects=effects), "arm.patched.xml", RESTING
+    )
     assert result["patched"]["changes"] == []
     assert result["patched"]["unwritten"] == [
         "backlash on cmd_pan. MJCF cannot express it.",
         "delay on cmd_pan. MJCF can only express effects that always act.",
     ]
+
+
+def test_servos_sag_by_the_load_over_their_stiffness(engine: MujocoEngine) -> None:
+    """Links of 0.8 and 0.5 kg, whose middles are 0.125 and 0.35 m from the shoulder."""
+    phi = engine.nominal.copy()
+    phi[[p.name for p in engine.parameters].index("kp shoulder")] = np.log(0.25)
+    pan, shoulder, elbow = sags(engine, phi, np.zeros(len(engine.terms)), RESTING)
+    load = 9.81 * (0.8 * 0.125 + 0.5 * 0.35)
+    assert (pan.load, pan.fitted) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert (shoulder.load, shoulder.nominal, shoulder.fitted) == pytest.approx((load, load / 80, load / 20), rel=1e-3)
+    assert (elbow.load, elbow.fitted) == pytest.approx((9.81 * 0.05, elbow.nominal), rel=1e-3)
+
+
+def test_the_statement_says_which_servos_sag_otherwise_than_in_the_model_and_which_do_not(engine: MujocoEngine) -> None:
+    nearer = rescaled(engine, 1 / 20)
+    said = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml", RESTING)
+    assert said["statement"].endswith(
+        "At rest, servos sag under the weight that they hold: shoulder by 670 mrad (34 mrad in the model), elbow by "
+        "250 mrad (12 mrad in the model). The others (pan) sag as in the model."
+    )
+    assert [s["joint"] for s in said["sag"]] == list(JOINTS)
+    as_it_is = account(engine, model(engine), statement(engine, "missing_physics"), "arm.patched.xml", RESTING)
+    assert "sag" not in as_it_is["statement"]
+
+
+def test_gravity_compensation_takes_load_off_servos(engine: MujocoEngine) -> None:
+    terms = np.array([0.5 if t.effect == "joint_gravity" else 0.0 for t in engine.terms])
+    whole, half = (sags(engine, engine.nominal, t, RESTING) for t in (0 * terms, terms))
+    assert [s.load for s in half] == pytest.approx([s.load / 2 for s in whole], abs=1e-6)
