@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from simgap.engines import Engine, Table, rough_of
+from simgap.threads import side_by_side
 
 STEP = 1e-3
 """Difference step of a state or a command, as a share of its standard deviation; in double precision."""
@@ -55,20 +56,30 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
     spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
     off = np.zeros_like(state)
 
-    def difference(at: Points, step: float) -> Float[np.ndarray, "n s"]:
-        return (engine.rows(*at, nil) - roughly) / step
+    def difference(moved: tuple[Points, float] | None) -> Float[np.ndarray, "n s"]:
+        return off if moved is None else (engine.rows(*moved[0], nil) - roughly) / moved[1]
 
-    by_state = [difference(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
-    by_command = [
-        difference(points._replace(command=_moved(command, (j, i), h)), h) if varied.commands else off
-        for j in range(engine.parts)
-        for i, h in enumerate(spread[1])
+    def by_push(i: int) -> Float[np.ndarray, "n s"]:
+        return by_effort(engine, points, roughly, i) if varied.efforts else off
+
+    def by_term(i: int) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
+        return _by_term(engine, points, i, roughly, nil) if varied.terms[i] else (off, off)
+
+    parts = [(j, i) for j in range(engine.parts) for i in range(command.shape[2])]
+    states = [(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
+    commands = [
+        (points._replace(command=_moved(command, at, h)), h) if varied.commands else None
+        for at, h in zip(parts, np.tile(spread[1], engine.parts), strict=True)
     ]
-    by_phi = [difference(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
-    by_push = [by_effort(engine, points, roughly, i) if varied.efforts else off for i in range(nil.shape[1])]
-    parabolas = [_by_term(engine, points, i, roughly, nil) if on else (off, off) for i, on in enumerate(varied.terms)]
-    by_term, squared = ([parabola[order] for parabola in parabolas] for order in (0, 1))
-    columns = [_stacked(c, state) for c in (by_state, by_command, by_phi, by_push, by_term, squared)]
+    phis = [(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
+    efforts = side_by_side(by_push, range(nil.shape[1]))
+    parabolas = side_by_side(by_term, range(terms.shape[1]))
+    columns = [
+        *(side_by_side(difference, moved) for moved in (states, commands, phis)),
+        efforts,
+        *([parabola[order] for parabola in parabolas] for order in (0, 1)),
+    ]
+    columns = [_stacked(c, state) for c in columns]
     return _table(points, then, columns)
 
 

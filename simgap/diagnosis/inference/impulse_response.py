@@ -14,8 +14,9 @@ from jaxtyping import Float
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.null_distribution import Evidence
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_innovations, side_by_side, with_value
+from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_innovations, with_value
 from simgap.layout import X, Y
+from simgap.threads import side_by_side
 
 ROWS = 8
 """Length of an impulse response [rows]."""

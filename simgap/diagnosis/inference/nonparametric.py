@@ -19,9 +19,10 @@ from simgap.diagnosis.inference.model import Model, Reporter, absorbing
 from simgap.diagnosis.inference.null_distribution import Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.inference.score_test import basis_of
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
-from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, side_by_side
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.likelihood.student_t import log_density, weights
+from simgap.threads import side_by_side
 
 AT_ONCE = 64
 """Functions that are tested per batch."""

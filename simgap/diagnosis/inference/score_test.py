@@ -16,8 +16,9 @@ from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Fit, Problem, side_by_side, trials, with_value
+from simgap.diagnosis.likelihood.problem import Fit, Problem, trials, with_value
 from simgap.diagnosis.likelihood.student_t import weights
+from simgap.threads import side_by_side
 
 PART = 8
 """Directions kept in memory at once."""

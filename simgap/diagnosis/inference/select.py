@@ -24,8 +24,9 @@ from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
 from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import THREADS, Fit, Problem, evaluate, side_by_side, trials, value_of
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
 from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.threads import THREADS, side_by_side
 
 FITTED = 10
 """Hypotheses that get a first fit in a round, at most."""

@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.likelihood.directions import bounds_of, directions, room_to_move, step_from
 from simgap.diagnosis.likelihood.filter import Variables, tangents
-from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, side_by_side, trials, value_of, with_value
+from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, trials, value_of, with_value
+from simgap.threads import side_by_side
 
 BATCH = 16
 """Directions differentiated at once. Fixed, because every other number would be compiled anew."""

@@ -4,8 +4,7 @@ Innovations of different outputs are correlated (a position integrates its veloc
 so that log-likelihoods of outputs add up. Each output then has its own Student's t noise.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from simgap.diagnosis.likelihood.segments import Chunks, counted
 from simgap.diagnosis.likelihood.student_t import NORMAL_MAD, Noise, fit_noise, log_density
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
+from simgap.threads import side_by_side
 
 NEAR = 0.5
 """How far parameters (logarithms) may move from where an engine was tabulated: a factor of 1.6. Without this bound,
@@ -24,8 +24,6 @@ TRUSTED = 0.5
 """Initial diagonal of K: the share of an innovation by which the state estimate is corrected."""
 FEW = 2
 """With at most this many effects (one accepted, one tested), the program of single rows omits the laws of others."""
-THREADS = 2
-"""Batches or hypotheses computed at once; each computation uses one core."""
 
 
 class Problem(NamedTuple):
@@ -162,15 +160,6 @@ def decorrelate(problem: Problem, raw: Any) -> Float[np.ndarray, "... n s"]:
     """Decorrelated innovations of the scored rows."""
     with np.errstate(over="ignore", invalid="ignore"):  # a trial may diverge; it is then rejected
         return counted(problem.chunks, raw) @ problem.whiten.T.astype(np.float32)
-
-
-def side_by_side(function: Callable, items: Iterable) -> list:
-    """Applies the function to every item on `THREADS` threads; results in order."""
-    items = list(items)
-    if len(items) < 2:
-        return [function(item) for item in items]
-    with ThreadPoolExecutor(THREADS) as pool:
-        return list(pool.map(function, items))
 
 
 def replaced(values: Float[np.ndarray, " P"], entries: Sequence[int], by: Any) -> Float[np.ndarray, " P"]:
