@@ -2,18 +2,17 @@
 
 from itertools import pairwise
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.likelihood.problem import Fit, Problem, raw_innovations, trials, value_of
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, counted
+from simgap.diagnosis.likelihood.segments import RUN_IN, counted
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.diagnosis.report.experiment import Experiment
 from simgap.diagnosis.report.localisation import Excess
-from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
+from simgap.diagnosis.validation.forecast import Contestant, forecast, window
 from simgap.kinematics import to_own_frame
 from simgap.rows import by_row
 from simgap.types import Recording
@@ -120,11 +119,9 @@ def _profile(problem: Problem, fit: Fit, hypothesis: Hypothesis) -> list[dict]:
 def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Contestant]) -> list[dict]:
     """Forecasts of every output by every model, over the busiest window of a held-out recording."""
     steps = min(int(SHOWN_S / problem.scales.time_step), len(recording.time_s) - RUN_IN - 2)
-    pieces = windows([recording], problem.scales.time_step, steps, 1) if steps > 1 else None
-    if pieces is None:
+    if steps < 2:
         return []
-    busiest = int(np.argmax(_activity(recording, pieces, steps)))
-    piece = jax.tree.map(lambda a: np.asarray(a)[busiest : busiest + 1], pieces)
+    piece = window(recording, problem.scales.time_step, steps, int(np.argmax(activity(recording, steps))))
     predicted = {name: forecast(problem, c, piece)[0] for name, c in contestants.items()}
     time = np.asarray(piece.time_s)[0, RUN_IN + 1 :]
     measured = np.asarray(piece.state)[0, RUN_IN + 1 :]
@@ -135,10 +132,11 @@ def rollouts(problem: Problem, recording: Recording, contestants: dict[str, Cont
     ]  # fmt: skip
 
 
-def _activity(recording: Recording, pieces: Chunks, steps: int) -> list[float]:
-    """Sum of the scaled commands in each piece."""
+def activity(recording: Recording, steps: int) -> Float[np.ndarray, " n"]:
+    """Sum of the scaled commands over `steps` rows after the run-in, for every row at which a piece can begin."""
     size = np.abs(recording.command / np.maximum(np.abs(recording.command).max(0), 1e-9)).sum(1)
-    return [float(size[r + RUN_IN : r + RUN_IN + steps].sum()) for r in pieces.row]
+    total = np.concatenate([[0.0], np.cumsum(size[RUN_IN:-1])])
+    return total[steps:] - total[:-steps]
 
 
 def commands(problem: Problem, experiment: Experiment) -> dict:
