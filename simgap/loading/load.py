@@ -7,6 +7,8 @@ from collections.abc import Callable
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple, cast
 
+import numpy as np
+
 from simgap.engines import Engine
 from simgap.formats.peek import Seen
 from simgap.loading import names, trial
@@ -44,19 +46,21 @@ def prepared(simulator: str | ModelFile, see: Callable[[], Seen]) -> Used:
 def started(used: Used, sessions: Sessions, say: Callable[[str], None]) -> Used:
     """The simulator that a diagnosis of these sessions starts from.
 
-    Where replays show that the stiffness of a model file's position servos is far off, all are rescaled together, and
-    `say` reports it. The search then starts near its result.
+    Where replays show that the stiffness of a model file's position servos is far off, they are rescaled, and `say`
+    reports it. The search then starts near its result.
     """
     if used.model_file is None:
         return used
-    from simgap.simulators.mujoco import rescaled, rescaling, scan
+    from simgap.simulators.mujoco import rescaled, rescaling, sag, scan
 
     replays = scan(cast(Any, used.simulator), sessions.fitted)
     if replays is None or not replays.far:
         return used
-    engine = rescaled(cast(Any, used.simulator), replays.best)
+    engine = rescaled(cast(Any, used.simulator), replays.start)
     say(rescaling(engine))
-    return Used(cast(Engine, engine), used.name, used.model_file | {"servo_share": replays.best})
+    if sagging := sag.words(sag.sags(engine, engine.nominal, np.zeros(len(engine.terms)), sessions.fitted)):
+        say(sagging)
+    return Used(cast(Engine, engine), used.name, used.model_file | {"start": replays.start})
 
 
 def load(spec: str) -> StepModel | Engine:

@@ -95,7 +95,7 @@ class ModelFile:
 
     def remembered(self, seen: Seen) -> dict[str, Any]:
         """The record of it in `diagnosis.json`, as `recalled` reads it."""
-        return {**asdict(self), "path": str(Path(self.path).resolve()), **seen._asdict(), "servo_share": 1.0}
+        return {**asdict(self), "path": str(Path(self.path).resolve()), **seen._asdict(), "start": {}}
 
 
 def _is_possible(option: str, value: Any) -> bool:
@@ -109,11 +109,11 @@ def recalled(kept: Mapping[str, Any]) -> Engine:
 
     options = {name: kept[name] for name in ("path", "kp", "kv", "force_limit")}
     engine = ModelFile(**options).engine(Seen(tuple(kept["columns"]), kept["time_step"]))
-    if kept["servo_share"] == 1:
+    if not kept["start"]:
         return engine
     from simgap.simulators.mujoco import rescaled
 
-    return cast("Engine", rescaled(cast(Any, engine), kept["servo_share"]))
+    return cast("Engine", rescaled(cast(Any, engine), kept["start"]))
 
 
 def named(spec: str) -> str | ModelFile:

@@ -1,11 +1,12 @@
 """Open-loop replays of recordings, and a scan of servo stiffness that detects a model that is far off."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from simgap.simulators.mujoco.attributes import Scaled
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.steps import accurate, quick
 from simgap.types import Recording
@@ -20,6 +21,10 @@ FAR = 3.0
 """A stiffness that is wrong by more than this factor means a wrong model, not a parameter to refine."""
 GAIN = 0.9
 """The best factor must lower the error at least to this share."""
+APART = tuple(2.0 ** (k / 2) for k in range(-6, 3))
+"""Factors on the stiffness that fits all servos best, which are tried for each servo of a model that is far off."""
+DAMPINGS = (1.0, 0.5, 0.25, 0.125)
+"""Factors on the damping tried with each of these: a servo with too large a kp often has too large a kv."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +32,15 @@ class Scan:
     """Replay errors with all servo stiffnesses multiplied by some factors.
 
     shares: the factors, ascending. errors: RMS of each joint's position [rad, m]. best: the factor with the smallest
-    error, each joint's relative to its motion. far: whether the model is far off. says: what that means, in words.
+    error, each joint's relative to its motion. far: whether the model is far off. start: factors on single parameters
+    from which a model that is far off should start. says: what that means, in words.
     """
 
     shares: Float[np.ndarray, " n"]
     errors: Float[np.ndarray, "n j"]
     best: float
     far: bool
+    start: dict[str, float]
     says: str
 
 
@@ -90,28 +97,71 @@ def scan(engine: MujocoEngine, recordings: Sequence[Recording]) -> Scan | None:
     best = min(COARSE, key=cost)
     best = min((best, *(best * step for step in FINE)), key=cost)
     far = max(best, 1 / best) > FAR and cost(best) < GAIN**2 * cost(1.0)
-    shares = sorted(errors)
-    return Scan(np.array(shares), np.array([errors[s] for s in shares]), best, far, _words(best) if far else "")
+    start = _each(engine, sessions, best, motion) if far else {}
+    shares, apart = sorted(errors), [share for name, share in start.items() if name.startswith("kp ")]
+    return Scan(np.array(shares), np.array([errors[s] for s in shares]), best, far, start, _words(apart))
 
 
-def rescaled(engine: MujocoEngine, share: float) -> MujocoEngine:
-    """The engine with all servo stiffnesses multiplied by `share` in its nominal parameters; ranges move with them."""
-    return accurate(replace(engine, nominal=engine.nominal + np.log(share) * _servos(engine)))
+def _each(
+    engine: MujocoEngine, sessions: Sequence[Recording], common: float, motion: Float[np.ndarray, " j"]
+) -> dict[str, float]:
+    """Factors on the stiffness and the damping of each servo, with which its own joint is replayed best.
+
+    All servos are moved together, since a servo hardly moves other joints than its own. One departs from the common
+    factor only if that lowers its joint's error to `GAIN`, and all only if they lower the error of all joints.
+    """
+    coarse, servos = quick(engine), _servos(engine)
+    damped = np.array([s.name.startswith("damping ") for s in engine.scaled], bool)
+
+    def errors(shares: Float[np.ndarray, " p"]) -> Float[np.ndarray, " j"]:
+        return replay(coarse, sessions, engine.nominal + np.log(shares))
+
+    pairs = [(common * stiffness, damping) for stiffness in APART for damping in DAMPINGS]
+    found = np.array([errors(np.where(servos, s, np.where(damped, d, 1.0))) for s, d in pairs])
+    same = np.where(servos, common, 1.0)
+    before = errors(same)
+    names = [s.name for s in engine.scaled]
+    shares = np.array(same)
+    for actuator in engine.machine.actuators:
+        if actuator.joint is None or (kp := f"kp {actuator.name}") not in names:
+            continue
+        joint = engine.machine.joints.index(actuator.joint)
+        best = int(found[:, joint].argmin())
+        if found[best, joint] < GAIN * before[joint]:
+            shares[names.index(kp)], damping = pairs[best]
+            if (name := f"damping {actuator.joint.name}") in names:
+                shares[names.index(name)] = damping
+    if ((errors(shares) / motion) ** 2).mean() > ((before / motion) ** 2).mean():
+        shares = same
+    return {name: float(share) for name, share in zip(names, shares, strict=True) if share != 1}
+
+
+def rescaled(engine: MujocoEngine, shares: Mapping[str, float]) -> MujocoEngine:
+    """The engine with some parameters multiplied by factors in its nominal values; their ranges move with them."""
+    factors = np.array([shares.get(s.name, 1.0) for s in engine.scaled])
+    return accurate(replace(engine, nominal=engine.nominal + np.log(factors)))
 
 
 def rescaling(engine: MujocoEngine) -> str:
-    """What `rescaled` did to an engine, in words; empty where it starts from the model as it is."""
-    shares = np.exp(engine.nominal[_servos(engine)])
-    if not shares.size or np.all(shares == 1):
+    """What `rescaled` did to the servos of an engine, in words; empty where it starts from the model as it is."""
+    servos = [(s, float(np.exp(at))) for s, at in zip(engine.scaled, engine.nominal, strict=True) if _is_kp(s)]
+    shares = [share for _, share in servos]
+    if all(share == 1 for share in shares):
         return ""
-    share = float(shares.max())
-    how = f"divided by {_rounded(1 / share)}" if share < 1 else f"times {_rounded(share)}"
-    return f"{_words(share)} The diagnosis takes the model with kp {how} as the nominal simulator."
+    if max(shares) == min(shares):
+        how = f"divided by {_rounded(1 / shares[0])}" if shares[0] < 1 else f"times {_rounded(shares[0])}"
+        return f"{_words(shares)} The diagnosis takes the model with kp {how} as the nominal simulator."
+    values = [f"{s.name} {share * s.of:.3g} {s.unit} ({s.of:.3g} in the model)" for s, share in servos]
+    return f"{_words(shares)} The diagnosis starts from {', '.join(values)}, and from dampings that fit with these."
 
 
 def _servos(engine: MujocoEngine) -> Bool[np.ndarray, " p"]:
     """Which parameters are stiffnesses of position servos."""
-    return np.array([s.name.startswith("kp ") for s in engine.scaled], bool)
+    return np.array([_is_kp(s) for s in engine.scaled], bool)
+
+
+def _is_kp(scaled: Scaled) -> bool:
+    return scaled.name.startswith("kp ")
 
 
 def _subset(recordings: Sequence[Recording]) -> list[Recording]:
@@ -121,9 +171,16 @@ def _subset(recordings: Sequence[Recording]) -> list[Recording]:
     return list(recordings[::every])
 
 
-def _words(share: float) -> str:
-    factor, which = (1 / share, "stiff") if share < 1 else (share, "soft")
-    return f"The model's position servos are about {_rounded(factor)} times too {which} (kp)."
+def _words(shares: Sequence[float]) -> str:
+    """How far off the stiffness of the servos is, whose true shares of the model's these are; empty for none."""
+    if not shares:
+        return ""
+    low, high = min(shares), max(shares)
+    if low < 1 < high:
+        return "The stiffness of the model's position servos (kp) is far off."
+    ends, which = ((1 / high, 1 / low), "stiff") if high <= 1 else ((low, high), "soft")
+    factor = f"about {_rounded(ends[0])}" if low == high else f"{_rounded(ends[0])} to {_rounded(ends[1])}"
+    return f"The model's position servos are {factor} times too {which} (kp)."
 
 
 def _rounded(factor: float) -> str:

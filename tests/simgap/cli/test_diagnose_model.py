@@ -77,7 +77,8 @@ def test_the_commands_write_what_the_page_lists(folder: Path) -> None:
 
 
 def test_what_is_missing_is_named_from_the_nearer_start(found: dict[str, Any]) -> None:
-    assert found["model_file"]["servo_share"] == pytest.approx(1 / FACTOR, rel=0.15)
+    assert set(found["model_file"]["start"]) == {"kp pan", "kp shoulder", "kp elbow"}
+    assert list(found["model_file"]["start"].values()) == pytest.approx([1 / FACTOR] * 3, rel=0.15)
     assert found["statement"].startswith(found["warnings"][0])
     assert found["warnings"][0] in found["notes"]
     (effect,) = found["effects"]

@@ -16,6 +16,7 @@ from simgap.simulators.mujoco.sag import sags
 from simgap.types import Recording
 
 STEP = 0.02
+KP = [f"kp {joint}" for joint in JOINTS]
 RESTING = [Recording("level", np.arange(30) * STEP, np.zeros((30, 6)), np.zeros((30, 3)))]
 """The arm stretched out level, where its weight pulls most."""
 
@@ -47,7 +48,7 @@ def model(engine: MujocoEngine, **terms: float) -> Any:
 
 
 def test_a_model_that_is_off_by_far_is_said_before_all_else(engine: MujocoEngine) -> None:
-    nearer = rescaled(engine, 1 / 110)
+    nearer = rescaled(engine, dict.fromkeys(KP, 1 / 110))
     result = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml", RESTING)
     words = "The model's position servos are about 110 times too stiff (kp)."
     assert result["verdict"] == "parameters_only"
@@ -175,7 +176,7 @@ def test_servos_sag_by_the_load_over_their_stiffness(engine: MujocoEngine) -> No
 
 
 def test_the_statement_says_which_servos_sag_otherwise_than_in_the_model_and_which_do_not(engine: MujocoEngine) -> None:
-    nearer = rescaled(engine, 1 / 20)
+    nearer = rescaled(engine, dict.fromkeys(KP, 1 / 20))
     said = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml", RESTING)
     assert said["statement"].endswith(
         "At rest, servos sag under the weight that they hold: shoulder by 670 mrad (34 mrad in the model), elbow by "

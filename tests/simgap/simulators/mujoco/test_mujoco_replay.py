@@ -1,12 +1,13 @@
 """Open-loop replays, and the scan that finds a model whose servos are far too stiff."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from arms import arm
 
-from simgap.simulators.mujoco import MujocoEngine, load, replay, rescaled, scan
+from simgap.simulators.mujoco import MujocoEngine, load, replay, rescaled, rescaling, scan
 from simgap.types import Recording
 
 STEP = 0.02
@@ -71,10 +72,37 @@ def test_a_scan_finds_servos_that_are_wrong_by_far(tmp_path: Path, share: float,
     assert says in found.says
     assert abs(np.log(found.best / share)) < np.log(1.15)
     assert found.errors.shape == (len(found.shares), 3)
-    nearer = rescaled(model, found.best)
+    nearer = rescaled(model, found.start)
     assert (replay(nearer, logs) < 0.3 * replay(model, logs)).any()
     ranges = [p for p in nearer.parameters if p.name.startswith("kp")]
     assert all(p.low < np.log(share) < p.high and p.nominal == np.log(found.best) for p in ranges)
+
+
+def test_servos_that_are_wrong_by_different_factors_start_each_from_its_own(tmp_path: Path) -> None:
+    """The lift's damping is wrong as well: with it as it is, no stiffness replays the joint."""
+    real = engine(tmp_path)
+    logs = recordings(real, real.nominal)
+    stiffer = {'kp="12"': 'kp="720"', 'kp="20" kv=".5"': 'kp="300" kv="4"', 'kp="200"': 'kp="5000"'}
+    text = STIFF
+    for right, wrong in stiffer.items():
+        text = text.replace(right, wrong)
+    model = engine(tmp_path, text)
+    true = {s.name: r.of / s.of for s, r in zip(model.scaled, real.scaled, strict=True)}
+    names = [name for name, share in true.items() if share < 1]
+    assert names == ["kp pan", "kp lift", "kp push", "damping lift"]
+    found = scan(model, logs)
+    assert found is not None
+    assert found.far
+    for name in names:
+        assert abs(np.log2(found.start[name] / true[name])) < np.log2(3), name  # within the range of a parameter
+    assert re.match(r"The model's position servos are \d+ to \d+ times too stiff \(kp\)\.$", found.says)
+    nearer = rescaled(model, found.start)
+    same = rescaled(model, {s.name: found.best for s in model.scaled if s.name.startswith("kp ")})
+    motion = np.concatenate([log.state[:, :3] for log in logs]).std(0)
+    of_each, of_all = (((replay(e, logs) / motion) ** 2).mean() for e in (nearer, same))
+    assert of_each < 0.5 * of_all
+    assert rescaling(nearer).startswith(f"{found.says} The diagnosis starts from kp pan ")
+    assert rescaling(model) == ""
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6, 2.0])
