@@ -94,7 +94,7 @@ def asked(recordings: list[Recording], monkeypatch: pytest.MonkeyPatch) -> list[
             noise_effects=[SimpleNamespace(id="dropout")],
         )
 
-    monkeypatch.setattr(diagnosed, "explain", explain)
+    monkeypatch.setattr("simgap.diagnosis.inference.explain.explain", explain)
     return made
 
 
@@ -147,7 +147,7 @@ def test_a_diagnosis_that_fails_leaves_no_other_in_its_place(
     def fail(*_: object) -> None:
         raise ConfigError("no")
 
-    monkeypatch.setattr(diagnosed, "explain", fail)
+    monkeypatch.setattr("simgap.diagnosis.inference.explain.explain", fail)
     with pytest.raises(ConfigError):
         find(workspace, share, "other code")
     assert not workspace.effects(share).exists()

@@ -16,7 +16,7 @@ from simgap.diagnosis.likelihood.derivatives import BATCH
 from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, filtered, gain_matrix, tangents
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import (
-    FEWEST,
+    FEW,
     LENGTH,
     SIZES,
     TURNS,
@@ -274,14 +274,14 @@ def test_tangents_agree_with_finite_differences() -> None:
 @given(st.integers(1, 10**6))
 def test_the_numbers_of_chunks_are_few_and_filled_up_by_little(count: int) -> None:
     full = filled(count)
-    assert count <= full <= count + max(FEWEST - 1, count / SIZES)
+    assert count <= full <= count + max(FEW - 1, count / SIZES)
     assert filled(full) == full
     assert len({filled(n) for n in range(count, 2 * count, max(count // 500, 1))}) <= 6
 
 
 def test_recordings_of_like_length_compile_nothing_anew() -> None:
     some = nothing_planted()
-    few, many = cut(some[:1], 1 / 15), cut(some * 2, 1 / 15)
+    few, many = cut(some[:1], 1 / 15), cut(some, 1 / 15)
     alone_in_it = innovations(SPOT, SCALES, truth({}), few)
     compiled = filtered._cache_size()
     among = innovations(SPOT, SCALES, truth({}), many)
