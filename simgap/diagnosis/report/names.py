@@ -9,8 +9,8 @@ LISTED = 6
 
 
 def number(value: float) -> str:
-    """Three significant digits."""
-    return f"{value:.3g}"
+    """Three significant digits; thousands are written out, not as powers of ten."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def quantity(constant: dict[str, Any]) -> str:

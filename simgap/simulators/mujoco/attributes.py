@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from simgap.diagnosis.report.names import number
 from simgap.simulators.mujoco.machine import AFFINE, Actuator, Joint, Machine, acts_on, count
 from simgap.simulators.mujoco.payloads import PREFIX
 from simgap.types import Parameter
@@ -63,7 +64,7 @@ class Scaled:
 
     def words(self, phi: float) -> str:
         """The model's value and the fitted one: `kp shoulder_pan: 998 -> 12.1 N m/rad`."""
-        return f"{self.name}: {self.of:.3g} -> {self.of * np.exp(phi):.3g} {self.unit}"
+        return f"{self.name}: {number(self.of)} -> {number(self.of * np.exp(phi))} {self.unit}"
 
 
 def parameters(model: mujoco.MjModel, machine: Machine) -> tuple[Scaled, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from simgap.diagnosis.report.names import number
 from simgap.simulators.mujoco.attributes import Scaled
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.steps import accurate, quick
@@ -151,7 +152,7 @@ def rescaling(engine: MujocoEngine) -> str:
     if max(shares) == min(shares):
         how = f"divided by {_rounded(1 / shares[0])}" if shares[0] < 1 else f"times {_rounded(shares[0])}"
         return f"{_words(shares)} The diagnosis takes the model with kp {how} as the nominal simulator."
-    values = [f"{s.name} {share * s.of:.3g} {s.unit} ({s.of:.3g} in the model)" for s, share in servos]
+    values = [f"{s.name} {number(share * s.of)} {s.unit} ({number(s.of)} in the model)" for s, share in servos]
     return f"{_words(shares)} The diagnosis starts from {', '.join(values)}, and from dampings that fit with these."
 
 

@@ -5,9 +5,11 @@ from typing import Any, cast
 
 import pytest
 from arms import arm
+from hypothesis import given
+from hypothesis import strategies as st
 
 from simgap.diagnosis.hypotheses.features import seen_names
-from simgap.diagnosis.report.names import title
+from simgap.diagnosis.report.names import number, title
 from simgap.effects.augmented import Augmented
 from simgap.effects.regime import features
 from simgap.engines import Engine
@@ -53,3 +55,11 @@ def test_a_body_keeps_them() -> None:
     texts = said(Augmented(Spot()))
     assert {"base |yaw rate|", "body frame bias", "base yaw rate"} <= set(texts)
     assert "constant load" not in texts
+
+
+@given(st.floats(1e-3, 9.99e5))
+def test_a_number_has_three_digits_and_no_power_of_ten(value: float) -> None:
+    said = number(value)
+    assert "e" not in said
+    assert float(said) == pytest.approx(value, rel=0.005)
+    assert len(said.replace(".", "").strip("0")) <= 3
