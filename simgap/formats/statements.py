@@ -24,7 +24,7 @@ def read(path: Path) -> dict[str, Any]:
     schema = statement.get("schema") if isinstance(statement, dict) else None
     if schema not in (1, SCHEMA):
         raise SimgapError(f"{path}: `schema` is {schema}; this version of simgap reads 1 and {SCHEMA}. Diagnose again.")
-    return upgraded(statement) if schema == 1 else statement
+    return _started(upgraded(statement) if schema == 1 else statement)
 
 
 def upgraded(statement: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,6 +43,16 @@ def upgraded(statement: Mapping[str, Any]) -> dict[str, Any]:
         if new.get(part):
             new[part] = change(new[part])
     return new
+
+
+def _started(statement: dict[str, Any]) -> dict[str, Any]:
+    """A statement whose model file has `start`: before, one share, `servo_share`, stood for all position servos."""
+    kept = statement.get("model_file") or {}
+    if "servo_share" not in kept:
+        return statement
+    kept = dict(kept)
+    share, servos = kept.pop("servo_share"), [n for n in statement["parameters"]["nominal"] if n.startswith("kp ")]
+    return {**statement, "model_file": kept | {"start": {} if share == 1 else dict.fromkeys(servos, share)}}
 
 
 def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:

@@ -72,3 +72,12 @@ def test_another_layout_is_refused_by_its_number(tmp_path: Path, schema: object)
         SimgapError, match=f"diagnosis.json: `schema` is {schema}; this version of simgap reads 1 and 2"
     ):
         read(path)
+
+
+@pytest.mark.parametrize(("share", "start"), [(1, {}), (0.02, {"kp pan": 0.02, "kp lift": 0.02})])
+def test_one_share_of_all_servos_becomes_one_of_each(tmp_path: Path, share: float, start: dict[str, float]) -> None:
+    values = {"kp pan": 60.0, "kp lift": 80.0, "damping pan": 3.0}
+    old = {"schema": SCHEMA, "parameters": {"nominal": values}, "model_file": {"path": "arm.xml", "servo_share": share}}
+    path = tmp_path / "diagnosis.json"
+    path.write_text(json.dumps(old))
+    assert read(path)["model_file"] == {"path": "arm.xml", "start": start}
