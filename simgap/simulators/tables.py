@@ -50,33 +50,37 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
     phi, terms, state, command = points
     nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
     then = engine.rows(phi, terms, state, command, nil)
-    engine, exact = rough_of(engine), engine
-    roughly = then if engine is exact else engine.rows(phi, terms, state, command, nil)
+    rough = rough_of(engine)
+    rough_then = then if rough is engine else rough.rows(phi, terms, state, command, nil)
     varied = varied or Inputs(True, True, np.ones(terms.shape[1], bool))
     spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
-    off = np.zeros_like(state)
+    zero = np.zeros_like(state)
 
-    def difference(moved: tuple[Points, float] | None) -> Float[np.ndarray, "n s"]:
-        return off if moved is None else (engine.rows(*moved[0], nil) - roughly) / moved[1]
+    def difference(moved: tuple[Points, float]) -> Float[np.ndarray, "n s"]:
+        at, step = moved
+        return (rough.rows(*at, nil) - rough_then) / step
 
-    def by_push(i: int) -> Float[np.ndarray, "n s"]:
-        return by_effort(engine, points, roughly, i) if varied.efforts else off
+    def effort_column(i: int) -> Float[np.ndarray, "n s"]:
+        return by_effort(rough, points, rough_then, i)
 
-    def by_term(i: int) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
-        return _by_term(engine, points, i, roughly, nil) if varied.terms[i] else (off, off)
+    def term_columns(i: int) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
+        return _by_term(rough, points, i, rough_then, nil) if varied.terms[i] else (zero, zero)
 
     parts = [(j, i) for j in range(engine.parts) for i in range(command.shape[2])]
     states = [(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
     commands = [
-        (points._replace(command=_moved(command, at, h)), h) if varied.commands else None
+        (points._replace(command=_moved(command, at, h)), h)
         for at, h in zip(parts, np.tile(spread[1], engine.parts), strict=True)
+        if varied.commands
     ]
     phis = [(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
-    efforts = side_by_side(by_push, range(nil.shape[1]))
-    parabolas = side_by_side(by_term, range(terms.shape[1]))
+    efforts = range(nil.shape[1])
+    parabolas = side_by_side(term_columns, range(terms.shape[1]))
     columns = [
-        *(side_by_side(difference, moved) for moved in (states, commands, phis)),
-        efforts,
+        side_by_side(difference, states),
+        side_by_side(difference, commands) if varied.commands else [zero] * len(parts),
+        side_by_side(difference, phis),
+        side_by_side(effort_column, efforts) if varied.efforts else [zero] * len(efforts),
         *([parabola[order] for parabola in parabolas] for order in (0, 1)),
     ]
     columns = [_stacked(c, state) for c in columns]

@@ -114,6 +114,11 @@ def most_rows(simulator: StepModel | Engine) -> int:
     return MOST_OF_ENGINE if is_engine(simulator) else MOST
 
 
+def thinning(recordings: Sequence[Recording], simulator: StepModel | Engine) -> int:
+    """The least number k such that every k-th row makes at most `most_rows`."""
+    return -(-sum(len(r.time_s) for r in recordings) // most_rows(simulator))
+
+
 def filled(count: int) -> int:
     """The number to which `count` segments are padded."""
     if count <= FEWEST:

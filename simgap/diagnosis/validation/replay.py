@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, most_rows
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, thinning
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
 from simgap.engines import Engine
 from simgap.kinematics import wrapped
@@ -18,11 +18,10 @@ LONGEST_S = 5.0
 
 
 def pieces_of(heldout: Sequence[Recording], engine: Engine) -> Chunks | None:
-    """Consecutive pieces to replay, or every so many of them for `most_rows`; None if all sessions are too short."""
+    """Pieces to replay: consecutive ones, with gaps if there are many rows; None if all sessions are too short."""
     longest = max(len(r.time_s) for r in heldout) - RUN_IN - 1
     rows = min(round(LONGEST_S / engine.time_step), longest)
-    every = -(-sum(len(r.time_s) for r in heldout) // most_rows(engine))
-    return windows(heldout, engine.time_step, rows, every * rows) if rows > 0 else None
+    return windows(heldout, engine.time_step, rows, thinning(heldout, engine) * rows) if rows > 0 else None
 
 
 def replay(problem: Problem, contestants: Mapping[str, Contestant], pieces: Chunks) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's names are native code, unknown to type checkers.
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.simulators.mujoco.attributes import Scaled
-from simgap.simulators.mujoco.terms import Added, Timed, force_range
+from simgap.simulators.mujoco.terms import Added, Switch, Timed, force_range
 
 if TYPE_CHECKING:
     from simgap.simulators.mujoco.engine import MujocoEngine
@@ -20,6 +21,12 @@ HELD = 1e10
 """Armature of a joint that is held still: no torque moves it."""
 _WITHOUT_SLOTS = {"actuator_forcerange", "actuator_forcelimited", "dof_armature"}
 """Arrays that force limits and joints that are held still change."""
+
+
+def arrays(scaled: Sequence[Scaled], switches: Sequence[Switch]) -> tuple[str, ...]:
+    """Names of the arrays that these parameters and terms change."""
+    slots = [s for part in (*scaled, *switches) if isinstance(part, Scaled | Added) for s in part.slots]
+    return tuple(sorted({*_WITHOUT_SLOTS, *(slot.array for slot in slots)}))
 
 
 def apply(
@@ -32,8 +39,7 @@ def apply(
     """Set parameters and terms in a copy of the engine's model, whatever was set there before."""
     own = engine.model
     model.opt.timestep = own.opt.timestep
-    changed = [s for part in (*engine.scaled, *engine.switches) if isinstance(part, Scaled | Added) for s in part.slots]
-    for name in {*_WITHOUT_SLOTS, *(slot.array for slot in changed)}:
+    for name in engine.changed:
         getattr(model, name)[:] = getattr(own, name)
     for scaled, value in zip(engine.scaled, phi, strict=True):
         for slot in scaled.slots:

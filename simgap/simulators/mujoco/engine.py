@@ -15,7 +15,7 @@ from mujoco import rollout
 
 from simgap.engines import Term
 from simgap.simulators.mujoco.attributes import Scaled
-from simgap.simulators.mujoco.changing import apply
+from simgap.simulators.mujoco.changing import apply, arrays
 from simgap.simulators.mujoco.machine import Machine
 from simgap.simulators.mujoco.reading import Source
 from simgap.simulators.mujoco.terms import Switch
@@ -133,6 +133,11 @@ class MujocoEngine:
         model = copy.copy(self.model)
         apply(self, model, mujoco.MjData(model), phi, terms)
         return model
+
+    @cached_property
+    def changed(self) -> tuple[str, ...]:
+        """Names of the model's arrays that parameters or terms change."""
+        return arrays(self.scaled, self.switches)
 
     @cached_property
     def _idle(self) -> list[_Worker]:

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from simgap.diagnosis.report.names import number
-from simgap.simulators.mujoco.attributes import Scaled
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.steps import accurate, quick
 from simgap.types import Recording
@@ -99,7 +98,7 @@ def scan(engine: MujocoEngine, recordings: Sequence[Recording]) -> Scan | None:
     best = min((best, *(best * step for step in FINE)), key=cost)
     far = max(best, 1 / best) > FAR and cost(best) < GAIN**2 * cost(1.0)
     start = _each(engine, sessions, best, motion) if far else {}
-    shares, apart = sorted(errors), [share for name, share in start.items() if name.startswith("kp ")]
+    shares, apart = sorted(errors), [share for name, share in start.items() if _is_kp(name)]
     return Scan(np.array(shares), np.array([errors[s] for s in shares]), best, far, start, _words(apart))
 
 
@@ -145,7 +144,7 @@ def rescaled(engine: MujocoEngine, shares: Mapping[str, float]) -> MujocoEngine:
 
 def rescaling(engine: MujocoEngine) -> str:
     """What `rescaled` did to the servos of an engine, in words; empty where it starts from the model as it is."""
-    servos = [(s, float(np.exp(at))) for s, at in zip(engine.scaled, engine.nominal, strict=True) if _is_kp(s)]
+    servos = [(s, float(np.exp(at))) for s, at in zip(engine.scaled, engine.nominal, strict=True) if _is_kp(s.name)]
     shares = [share for _, share in servos]
     if all(share == 1 for share in shares):
         return ""
@@ -158,11 +157,11 @@ def rescaling(engine: MujocoEngine) -> str:
 
 def _servos(engine: MujocoEngine) -> Bool[np.ndarray, " p"]:
     """Which parameters are stiffnesses of position servos."""
-    return np.array([_is_kp(s) for s in engine.scaled], bool)
+    return np.array([_is_kp(s.name) for s in engine.scaled], bool)
 
 
-def _is_kp(scaled: Scaled) -> bool:
-    return scaled.name.startswith("kp ")
+def _is_kp(parameter: str) -> bool:
+    return parameter.startswith("kp ")
 
 
 def _subset(recordings: Sequence[Recording]) -> list[Recording]:

@@ -178,7 +178,7 @@ def test_of_many_rows_segments_at_regular_intervals_are_searched(rows: list[int]
     for i, place in enumerate(zip(everything.session, everything.row, strict=True)):
         of.setdefault(place, i)  # segments that pad the number repeat the first
     places = sorted(of[s, r] for s, r in zip(some.session[used], some.row[used], strict=True))
-    # One place in every so many, up to the rounding of both ends and segments without a scored row.
+    # They are evenly spaced, up to rounding, and up to segments without a scored row.
     assert np.ptp(np.diff(places)) <= 2 if len(places) > 1 and min(rows) > LENGTH else len(places) == used.sum()
     for field in ("state", "command", "past", "turns", "interval"):
         found = np.asarray(getattr(some, field))[used]
