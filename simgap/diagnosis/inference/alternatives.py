@@ -94,8 +94,13 @@ def _rivals(hypothesis: Hypothesis, screening: Screening, hypotheses: Sequence[H
 def _better(
     reduced: Model, rivals: Sequence[Trial], own: Trial, holds_out: HeldOutCheck, required: float
 ) -> Trial | None:
-    """The best rival of another id that gains over 1 nat more than `own` and holds on held-out sessions."""
-    ahead = (t for t in rivals if t.gain > own.gain + SETTLED and t.hypothesis.effect.id != own.hypothesis.effect.id)
+    """The best rival of another id that gains over 1 nat more than `own` and holds on held-out sessions.
+
+    It must gain more than `own` at any other site too: if that gains most, the effect is right and may act at both.
+    """
+    effect = own.hypothesis.effect.id
+    most = max([own.gain, *(t.gain for t in rivals if t.hypothesis.effect.id == effect)])
+    ahead = (t for t in rivals if t.gain > most + SETTLED and t.hypothesis.effect.id != effect)
     return next((t for t in ahead if holds_out(reduced.problem, t, required)), None)
 
 

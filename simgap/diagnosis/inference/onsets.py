@@ -57,7 +57,7 @@ def restriction(
         if best is None or best.promise <= required_gain(best.support) + misfit:
             continue
         restricted = _moved_to_support(with_support(best.model, supports, best.support), best.hypothesis, best.support)
-        extra = restricted.loglik - model.fit.loglik
+        extra = restricted.loglik - max(model.fit.loglik, best.model.fit.loglik)
         heldout = for_heldout(layout, unseen, [*supports, best.support])
         if extra > required_gain(best.support) + misfit and (
             not isinstance(best.support, Regime) or gain(problem, heldout, model.fit, restricted) > 0
@@ -92,7 +92,8 @@ def _restrictions(model: Model, hypothesis: Hypothesis, loglik: float) -> list[_
     from_on, a = onset(rows, score, power)
     during, b = stretch(rows, score, power, SHORTEST_WINDOW)
     regime, c = narrowest(values, score, power, LEAST_SHARE)
-    throughout, ahead = float(gain_of(score.sum(), power.sum())), fit.loglik - loglik
+    # Where it acts throughout, a rival may fit better than the model: that is no reason for a restriction.
+    throughout, ahead = float(gain_of(score.sum(), power.sum())), min(fit.loglik - loglik, 0.0)
     supports = ((from_on, a), (during, b - throughout), (regime, c))
     return [_Restriction(ahead + extra, support, hypothesis, model) for support, extra in supports]
 
