@@ -39,7 +39,7 @@ class Widening(NamedTuple):
 
     e: Float[np.ndarray, "n c"]
     noise: Noise
-    moving: Float[np.ndarray, " n"]
+    moving: Float[np.ndarray, "n c"]
     ratio: float
 
 

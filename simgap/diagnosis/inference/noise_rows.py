@@ -14,7 +14,7 @@ from simgap.diagnosis.config import REQUIRED_OF_NOISE, SET_ASIDE, SURE_OF_NOISE
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.alternatives import compared
 from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect
-from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, robot_of, sample_of
+from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, growths, robot_of, sample_of
 from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
 from simgap.diagnosis.likelihood.problem import Fit, Problem
@@ -122,15 +122,9 @@ def _late_rows(plain: Fitted, sample: Sample) -> list[Fitted]:
 
 
 def _motion_noise(robot: Robot, plain: Fitted, sample: Sample) -> list[Fitted]:
-    """Noise of all outputs that grows with all motion, or of one body's outputs with its own motion."""
-    groups, fits = _groups(plain, sample), []
-    for k, columns in enumerate([np.arange(len(robot.outputs)), *robot.bodies.values()]):
-        if k and not 0 < len(columns) < len(robot.outputs):
-            continue
-        own = np.isin(np.arange(len(robot.outputs)), columns)
-        law = lambda s, k=k, own=own: Law(groups, s.e[:0, None], moving=s.moving[:, [k]] * own)  # noqa: E731
-        fits.append(_fit("motion_dependent_noise", law, sample, plain.mixture._replace(slope=SPREAD), 1, about=k))
-    return fits
+    groups, start = _groups(plain, sample), plain.mixture._replace(slope=SPREAD)
+    laws = [lambda s, g=g: Law(groups, s.e[:0, None], moving=g.moving(s)) for g in growths(robot)]
+    return [_fit("motion_dependent_noise", law, sample, start, 1, about=k) for k, law in enumerate(laws)]
 
 
 def _held_law(groups: tuple[Int[np.ndarray, " g"], ...], i: int, free: bool) -> Callable[[Sample], Law]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
@@ -50,6 +50,19 @@ class Sample(NamedTuple):
     starts: np.ndarray
 
 
+class Growth(NamedTuple):
+    """Noise that grows with motion. says: in words. column: of `Sample.moving`, for each output. grows: whether its
+    noise does."""
+
+    says: str
+    column: Int[np.ndarray, " s"]
+    grows: Bool[np.ndarray, " s"]
+
+    def moving(self, sample: Sample) -> Float[np.ndarray, "n s"]:
+        """The motion with which each output's noise grows; zero where it does not."""
+        return sample.moving[:, self.column] * self.grows
+
+
 class Fitted(NamedTuple):
     """A fitted hypothesis: its law, given a sample; its constants; ln p of the training rows; and the number of
     constants beyond those of unnamed noise."""
@@ -61,7 +74,7 @@ class Fitted(NamedTuple):
     constants: int
     rare: bool = False
     about: int = 0
-    """Body (0: all) or subsystem."""
+    """Index of the growth or of the subsystem."""
 
 
 def robot_of(problem: Problem) -> Robot:
@@ -77,6 +90,18 @@ def robot_of(problem: Problem) -> Robot:
     interval = float(np.median(advance)) if integrated.any() else problem.scales.time_step
     positions = tuple(n for n, own in zip(names, integrated, strict=True) if own)
     return Robot(interval, problem.scales.time_step, names, positions, bodies, subsystems)
+
+
+def growths(robot: Robot) -> list[Growth]:
+    """Noise of all outputs that grows with all motion, of one body's with its own, or of every body's with its own."""
+    count, own = len(robot.outputs), np.zeros(len(robot.outputs), int)
+    found = [Growth("The noise grows with the motion", own.copy(), np.full(count, True))]
+    for k, (body, columns) in enumerate(robot.bodies.items(), 1):
+        if 0 < len(columns) < count:
+            own[columns] = k
+            found.append(Growth(f"The noise of {body} grows with the motion", np.full(count, k), own == k))
+    every = Growth("The noise of every body grows with its own motion", own, np.full(count, True))
+    return [*found, every] if len(found) > 2 else found
 
 
 def _subsystems(layout: Layout) -> list[list[int]]:

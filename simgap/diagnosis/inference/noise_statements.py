@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.noise_effect import Axis, Between, Widening
-from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample
+from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, growths
 from simgap.diagnosis.inference.row_mixture_em import Mixture
 from simgap.diagnosis.likelihood.student_t import Noise
 
@@ -69,18 +69,16 @@ def _of_shifts(mixture: Mixture, number: int) -> Float[np.ndarray, " k"]:
 
 
 def wide_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
-    law = f.law(training)
-    assert law.moving is not None  # its noise grows with the motion
-    columns = np.flatnonzero(law.moving.any(0))
+    growth = growths(robot)[f.about]
+    columns = np.flatnonzero(growth.grows)
     names = tuple(robot.outputs[i] for i in columns)
-    where = "" if f.about == 0 else f" of {list(robot.bodies)[f.about - 1]}"
     ratio = _constant(training, f, "ratio", "-", lambda m: 1 + m.slope)
     noise = Noise(f.mixture.noise.scale[columns], f.mixture.noise.dof[columns])
     return {
         "constants": [ratio], "outputs": names,
-        "shown": Widening(training.e[:, columns], noise, training.moving[:, f.about], ratio["value"]),
-        "statement": f"The noise{where} grows with the motion: it is {ratio['value']:.1f} times as large when "
-        "moving as at rest. This affects error bars, not means.",
+        "shown": Widening(training.e[:, columns], noise, growth.moving(training)[:, columns], ratio["value"]),
+        "statement": f"{growth.says}: it is {ratio['value']:.1f} times as large when moving as at rest. This affects "
+        "error bars, not means.",
     }  # fmt: skip
 
 

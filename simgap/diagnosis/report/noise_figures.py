@@ -61,11 +61,11 @@ def _between(
 
 
 def _widening(
-    e: Float[np.ndarray, "n c"], noise: Noise, moving: Float[np.ndarray, " n"], ratio: float
+    e: Float[np.ndarray, "n c"], noise: Noise, moving: Float[np.ndarray, "n c"], ratio: float
 ) -> list[dict[str, Any]]:
     """Noise over speed, relative to the noise at rest, and the law's line from 1 to `ratio`."""
-    standard = np.abs(e / noise.scale)
-    at_rest = np.median(standard / (1 + (ratio - 1) * moving[:, None]))
+    standard, moving = np.abs(e / noise.scale).ravel(), moving.ravel()
+    at_rest = np.median(standard / (1 + (ratio - 1) * moving))
     members = binned(moving)
     if len(members) < 3:
         return []

@@ -27,16 +27,15 @@ def drawn(kind: str, seed: int) -> tuple[Sample, Sample]:
     response, way = 3 * rng.normal(size=(3, 6)), 3 * rng.normal(size=(3, 2))
     u = sent[before:]
     advance = np.hstack([u @ way, np.zeros((n, 4))])
-    moving = np.sqrt((u**2).mean(1))
-    moving /= np.quantile(moving, 0.95)
+    moving = np.sqrt(np.column_stack([(u[:, own] ** 2).mean(1) for own in ([0, 1, 2], [0], [1, 2])]))
+    moving /= np.quantile(moving, 0.95, axis=0)
     plain = rng.standard_t(8, size=(n, 6))
     e = _planted(kind, rng, plain, moving, advance) + (_acting(kind, rng, sent) - sent)[before:] @ response
     held = np.stack([e + (u - sent[before - k : -k]) @ response for k in HELD])
-    whole = np.repeat(moving[:, None], 3, axis=1)
 
     def part(rows: slice) -> Sample:
         starts = np.arange(0, len(e[rows]), BLOCK)
-        return Sample(e[rows], whole[rows], advance[rows], [held[:, rows]], starts)
+        return Sample(e[rows], moving[rows], advance[rows], [held[:, rows]], starts)
 
     return part(slice(0, ROWS)), part(slice(ROWS, None))
 
@@ -72,7 +71,7 @@ def _planted(
     kind: str,
     rng: np.random.Generator,
     plain: Float[np.ndarray, "n s"],
-    moving: Float[np.ndarray, " n"],
+    moving: Float[np.ndarray, "n 3"],
     advance: Float[np.ndarray, "n s"],
 ) -> Float[np.ndarray, "n s"]:
     """Noise of every row, and what unevenly spaced rows add."""
@@ -87,7 +86,9 @@ def _planted(
         case "outliers along axes":
             return plain + odd * 6 * rng.normal(size=(n, s))
         case "growing noise":
-            return plain * (1 + SLOPE * moving[:, None])
+            return plain * (1 + SLOPE * moving[:, [0]])
+        case "growing noise of each":  # where joints stick and slip, for example
+            return plain * (1 + SLOPE * np.repeat(moving[:, 1:], 3, axis=1))
         case "stalls":
             return plain + late[:, None] * advance
         case "jitter":

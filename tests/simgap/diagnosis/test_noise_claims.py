@@ -56,6 +56,15 @@ def test_what_is_planted_is_likely_and_has_alternatives(kind: str) -> None:
         assert sum(f.odds.values()) == pytest.approx(1)
 
 
+def test_noise_of_every_body_may_grow_with_its_own_motion() -> None:
+    """Rows of uneven length, or noise that grows with all motion, would move all bodies at once."""
+    for seed in range(3):
+        found = said("growing noise of each", seed)
+        assert found is not None
+        assert found.statement.startswith("The noise of every body grows with its own motion: it is ")
+        assert found.constants[0]["value"] == pytest.approx(1 + SLOPE, rel=0.2)
+
+
 @pytest.mark.filterwarnings("error")
 def test_outputs_that_are_predicted_exactly_are_no_warning() -> None:
     samples = [sample._replace(e=np.zeros_like(sample.e)) for sample in drawn("stalls", 0)]
