@@ -25,7 +25,8 @@ class Explanation(NamedTuple):
     noise_effects: effects on the noise. whiteness: how far the residuals can be predicted. law: a nonparametric law
     apart from the effects. unseen: held-out rows with the gates of the supports. supports: of effects that do not act
     throughout. rounds: the hypotheses tried. baseline: number of its sessions. With any, `whiteness` is what exceeds
-    theirs, and no nonparametric law is searched for.
+    theirs, and no nonparametric law is searched for. unsettled: ids of effects that the search before did not find,
+    although it was the last one.
     """
 
     problem: Problem
@@ -41,6 +42,7 @@ class Explanation(NamedTuple):
     supports: tuple[Support, ...]
     rounds: list[Round]
     baseline: int
+    unsettled: frozenset[str] = frozenset()
 
     def names(self, member: Member) -> bool:
         """Whether an effect explains its outputs, rather than being only the closest match.

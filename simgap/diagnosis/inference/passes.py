@@ -28,7 +28,7 @@ def explained(
 
     Also returns the sessions with estimates of unmeasured states. Arguments and errors as in `diagnose`.
     """
-    layout, latest = Layout(simulator.schema), None
+    layout, before, latest = Layout(simulator.schema), None, None
     sessions = guessed(layout, sessions)
     for number in range(1, PASSES + 1):
         before = latest
@@ -40,6 +40,10 @@ def explained(
             break
         if before is not None and _same(before, latest) and agrees(latest):
             break
+    else:
+        # Searches that find something else each time have not found it.
+        if before is not None and latest is not None:
+            latest = latest._replace(unsettled=frozenset(latest.ids - before.ids))
     assert latest is not None  # there is a first pass
     return confirmed(latest, report), sessions
 

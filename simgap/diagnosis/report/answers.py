@@ -104,6 +104,10 @@ def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
         for p, seen in zip(found.problem.augmented.simulator.parameters, found.sd.seen, strict=True)
         if not seen
     ]
+    notes += [
+        f"{title(effect)} was found by the last search alone, and not by the one before: its name is not certain."
+        for effect in sorted(found.unsettled)
+    ]
     if untested := untested_of(found):
         effects = ", ".join(map(title, untested))
         notes.append(f"Could not test {effects}: the simulator does not stay finite there.")

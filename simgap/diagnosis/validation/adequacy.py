@@ -81,12 +81,15 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
 
 
 def _is_named(found: Explanation, judged: Judgement, i: int, low_share: bool, rng: np.random.Generator) -> bool:
-    """Whether a member is named: it explains most of the mismatch, or stands out whatever else is missing.
+    """Whether a member is named: it explains most of the mismatch, or stands out whatever else is missing; and the
+    search before found it too, if there were several.
 
     An effect that makes forecasts of several steps worse is not named, however well it predicts the next row: worse
     significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both.
     """
     m, pairs = found.members[i], _pairs(judged, i)
+    if m.hypothesis.effect.id in found.unsettled:
+        return False
     worse_on_both = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
     if any(h > 1 for h in worse_on_both) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
         return False
