@@ -119,6 +119,11 @@ def rough_of(engine: Engine) -> Engine:
     return getattr(engine, "rough", engine)
 
 
+def given_of(engine: Engine) -> Engine:
+    """The engine as its user gave it. An engine that starts a search elsewhere has it as its attribute `given`."""
+    return getattr(engine, "given", None) or engine
+
+
 def is_engine(simulator: StepModel | Engine) -> TypeIs[Engine]:
     """Whether a simulator steps rows outside JAX."""
     return hasattr(simulator, "rows")

@@ -72,8 +72,8 @@ class Result:
         from simgap.simulators.mujoco import account
 
         engine, file = cast(Any, used.simulator), f"{Path(used.name).stem}{diagnoses.PATCHED}"
-        statement = account.account(engine, found.model, found.statement, file, sessions.fitted)
-        statement |= {"model_file": used.model_file}
+        statement = found.statement | {"model_file": used.model_file}
+        statement = account.account(engine, found.model, statement, file, sessions.fitted)
         return Result(engine, found._replace(statement=statement), tuple(left_out))
 
     @property

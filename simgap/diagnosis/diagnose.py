@@ -16,6 +16,7 @@ from simgap.diagnosis.inference.model import Reporter
 from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
+from simgap.diagnosis.likelihood.problem import start
 from simgap.diagnosis.report import experiment
 from simgap.diagnosis.report import statement as written
 from simgap.diagnosis.validation import black_box, replay, scores
@@ -23,9 +24,10 @@ from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.forecast import Contestant
 from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import sensitivity
+from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Regime
-from simgap.engines import Engine, is_engine
+from simgap.engines import Engine, given_of, is_engine
 from simgap.types import Recording, Sessions, StepModel
 
 
@@ -150,14 +152,20 @@ def _judged(found: Explanation, contestants: dict[str, Contestant], sessions: Se
 def _replayed(
     found: Explanation, contestants: dict[str, Contestant], heldout: Sequence[Recording]
 ) -> dict[str, Any] | None:
-    """Open-loop errors of an engine with every model except the black box; None if there is nothing to replay."""
+    """Open-loop errors of an engine with every model except the black box; None if there is nothing to replay.
+
+    If the search started elsewhere than at the engine as its user gave it, that one is among the models.
+    """
     simulator, layout = found.problem.augmented.simulator, found.problem.augmented.layout
-    pieces = replay.pieces_of(heldout, simulator) if is_engine(simulator) else None
-    if pieces is None:
+    if not is_engine(simulator) or (pieces := replay.pieces_of(heldout, simulator)) is None:
         return None
     pieces = for_heldout(layout, pieces, found.known_supports)
-    own = {name: model for name, model in contestants.items() if name != "black_box"}
-    return replay.replay(found.problem, own, pieces)
+    models = {name: (found.problem, model) for name, model in contestants.items() if name != "black_box"}
+    if (given := given_of(simulator)) is not simulator:
+        problem, nominal = found.problem._replace(augmented=Augmented(given)), contestants["nominal"]
+        as_given = nominal._replace(v=nominal.v._replace(phi=start(problem).phi))
+        models["given"] = problem, as_given
+    return replay.replay(models, pieces)
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[written.Plan | None, list[str]]:

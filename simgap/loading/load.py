@@ -51,15 +51,16 @@ def started(used: Used, sessions: Sessions, say: Callable[[str], None]) -> Used:
     """
     if used.model_file is None:
         return used
-    from simgap.simulators.mujoco import rescaled, rescaling, sag, scan
+    from simgap.simulators.mujoco import rescaled, rescaling, scan, servo_errors
 
     replays = scan(cast(Any, used.simulator), sessions.fitted)
     if replays is None or not replays.far:
         return used
     engine = rescaled(cast(Any, used.simulator), replays.start)
     say(rescaling(engine))
-    if sagging := sag.words(sag.sags(engine, engine.nominal, np.zeros(len(engine.terms)), sessions.fitted)):
-        say(sagging)
+    found = servo_errors.servo_errors(engine, engine.nominal, np.zeros(len(engine.terms)), sessions.fitted)
+    if said := servo_errors.words(found, engine.time_step):
+        say(said)
     return Used(cast(Engine, engine), used.name, used.model_file | {"start": replays.start})
 
 

@@ -1,12 +1,18 @@
 """Colours, and the places of the marks in table cells [px]."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 INK, GREY, HELDOUT = "#1c2430", "#6b7280", "#1f5fa8"
-MODELS = {"nominal": "as is", "refitted": "refitted", "augmented": "with effects", "black_box": "black box"}
-COLOURS = {"nominal": "#9aa0a8", "refitted": "#d1722d", "augmented": "#1f5fa8", "black_box": "#2c9a5f"}
+MODELS = {
+    "given": "model file", "nominal": "as is", "refitted": "refitted", "augmented": "with effects",
+    "black_box": "black box",
+}  # fmt: skip
+"""The models that are compared, by their name in a statement; `given` only if the search did not start at it."""
+COLOURS = {
+    "given": "#8a63a8", "nominal": "#9aa0a8", "refitted": "#d1722d", "augmented": "#1f5fa8", "black_box": "#2c9a5f",
+}  # fmt: skip
 EXCESS = ("#f7f5f1", "#fbd9a5", "#ef8a43", "#bf3021", "#64101a")
 """Colours of an excess error, from none (or less) to the top of the scale, evenly spaced."""
 FONTS = "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, Arial, Liberation Sans, sans-serif"
@@ -17,6 +23,12 @@ _WHISKERS, _STEP = 210, 9
 _RANGE = 100
 
 Ends = tuple[float, float]
+
+
+def labels(statement: Mapping[str, Any]) -> dict[str, str]:
+    """What the models of a statement are called."""
+    started = (statement.get("model_file") or {}).get("start")
+    return MODELS | ({"nominal": "start"} if started else {})
 
 
 def shade(share: float) -> str:

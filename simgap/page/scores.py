@@ -15,7 +15,7 @@ _ONE_TABLE = 6  # parameters; more are shown in two tables
 
 def scores(statement: Values, figures: Figures) -> dict[str, Any]:
     """The share explained, a table of scores (a row per score, a column per model), and figures of forecasts."""
-    fit = statement.get("fit") or {}
+    fit, labels = statement.get("fit") or {}, marks.labels(statement)
     models, share = fit.get("models") or {}, fit.get("explained_share")
     sessions, ends = len(fit.get("heldout_sessions") or []), numbers.interval(fit.get("explained_share_ci95"))
     named = [m for m in marks.MODELS if models.get(m)]
@@ -28,15 +28,17 @@ def scores(statement: Values, figures: Figures) -> dict[str, Any]:
         } if statement.get("effects") and numbers.known(share) else None,
         "over": f"On {numbers.count(sessions, 'session')} not used for fitting" if sessions else "Held out",
         "any": bool(keys),
-        "models": [_model(m) for m in named],
+        "models": [_model(m, labels) for m in named],
         "rows": [row for row in rows if row],
-        "replay": _replay(statement.get("replay") or {}),
-        "rollouts": [{"session": r["session"], "src": source(r["svg"]), "models": [_model(m) for m in r["models"]]}
-                     for r in figures.rollouts],
+        "replay": _replay(statement.get("replay") or {}, labels),
+        "rollouts": [
+            {"session": r["session"], "src": source(r["svg"]), "models": [_model(m, labels) for m in r["models"]]}
+            for r in figures.rollouts
+        ],
     }  # fmt: skip
 
 
-def _replay(replay: Values) -> dict[str, Any] | None:
+def _replay(replay: Values, labels: Mapping[str, str]) -> dict[str, Any] | None:
     """Open-loop errors, a row per position in thousandths of its unit; None without any."""
     positions = replay.get("positions") or []
     named = [m for m in marks.MODELS if any(m in p["errors"] for p in positions)]
@@ -44,7 +46,7 @@ def _replay(replay: Values) -> dict[str, Any] | None:
         return None
     return {
         "over": f"{numbers.count(replay['pieces'], 'piece')} of {numbers.number(replay['seconds'])} s",
-        "models": [_model(m) for m in named],
+        "models": [_model(m, labels) for m in named],
         "rows": [
             {"name": p["name"], "unit": f"m{p['unit']}",
              "cells": [numbers.number(1000 * p["errors"][m]) if numbers.known(p["errors"].get(m)) else numbers.DASH
@@ -54,8 +56,8 @@ def _replay(replay: Values) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _model(model: str) -> dict[str, str]:
-    return {"label": marks.MODELS[model], "colour": marks.COLOURS[model]}
+def _model(model: str, labels: Mapping[str, str]) -> dict[str, str]:
+    return {"label": labels[model], "colour": marks.COLOURS[model]}
 
 
 def _row(key: str, entries: Mapping[str, Values | None]) -> dict[str, Any] | None:

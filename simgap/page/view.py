@@ -40,15 +40,16 @@ def _summary(statement: Values) -> dict[str, Any]:
         "missing": [effects.summary(e) for e in wording.by_importance(statement.get("effects") or [])],
         "certainty": wording.certainty(statement),
         "helps": wording.helps(statement),
-        "errors": _errors((statement.get("fit") or {}).get("models") or {}),
+        "errors": _errors(statement),
         "to_do": wording.to_do(statement),
         "statement": statement.get("statement", ""),
         "facts": _facts(statement.get("recordings") or {}),
     }
 
 
-def _errors(models: Values) -> dict[str, Any] | None:
+def _errors(statement: Values) -> dict[str, Any] | None:
     """Held-out errors at the longest horizon, by model; bars are relative to the largest."""
+    models, labels = (statement.get("fit") or {}).get("models") or {}, marks.labels(statement)
     score = wording.longest(models)
     errors = {m: models[m][score]["value"] for m in marks.MODELS if score in (models.get(m) or {})}
     finite = [e for e in errors.values() if numbers.known(e)]
@@ -58,7 +59,7 @@ def _errors(models: Values) -> dict[str, Any] | None:
         "caption": f"Held-out error {wording.metric(score)[0].partition(' ')[2]}, share of the motion",
         "rows": [
             {
-                "label": marks.MODELS[m],
+                "label": labels[m],
                 "colour": marks.COLOURS[m],
                 "value": wording.share(e),
                 "width": numbers.width(e / max(finite)) if max(finite) else "0",

@@ -1,7 +1,7 @@
 """Names and numbers as people read them."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 LISTED = 6
@@ -26,6 +26,11 @@ def title(effect: str) -> str:
     """
     ident, on, where = effect.partition(" on ")
     return re.sub(r"^([^.]+)\.([^.]+)$", r"\1 (\2)", ident.replace("_", " ")) + on + where
+
+
+def nominal(diagnosis: Mapping[str, Any]) -> str:
+    """Which simulator the nominal one of a diagnosis is: not a model file itself if the search started elsewhere."""
+    return "as the search began" if (diagnosis.get("model_file") or {}).get("start") else "as it is"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report.experiment import RUNS, Experiment
-from simgap.diagnosis.report.names import listed, number, quantity, title
+from simgap.diagnosis.report.names import listed, nominal, number, quantity, title
 from simgap.effects import CATALOGUE
 
 
@@ -93,7 +93,7 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
 def warnings(diagnosis: dict[str, Any]) -> list[str]:
     """What a reader must know before any number on the page."""
     models, lines = diagnosis["fit"]["models"], []
-    of = {"nominal": "the simulator as it is", "refitted": "the refitted simulator",
+    of = {"nominal": f"the simulator {nominal(diagnosis)}", "refitted": "the refitted simulator",
           "augmented": "the simulator with the effects"}  # fmt: skip
     for worse in diagnosis["fit"]["worse"]:
         for steps in worse["at"]:
@@ -113,7 +113,7 @@ def statement(diagnosis: dict[str, Any]) -> str:
             diagnosis["closest_matches"]
         )
     if diagnosis["verdict"] == "missing_physics":
-        lines += _improvement(diagnosis["fit"]["models"])
+        lines += _improvement(diagnosis)
     return lines
 
 
@@ -222,12 +222,12 @@ def sized(visible: dict[str, Any]) -> str:
     return quantity({"value": visible["size"], "unit": visible["unit"]})
 
 
-def _improvement(models: dict[str, Any]) -> str:
+def _improvement(diagnosis: dict[str, Any]) -> str:
     """Improvement over the simulator as it is or refitted, whichever is better, at the longest horizon."""
+    models, names = diagnosis["fit"]["models"], {"nominal": nominal(diagnosis), "refitted": "refitted"}
     if "augmented" not in models:
         return ""
     longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
-    names = {"nominal": "as it is", "refitted": "refitted"}
     better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
     before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
     gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]

@@ -24,14 +24,18 @@ def pieces_of(heldout: Sequence[Recording], engine: Engine) -> Chunks | None:
     return windows(heldout, engine.time_step, rows, thinning(heldout, engine) * rows) if rows > 0 else None
 
 
-def replay(problem: Problem, contestants: Mapping[str, Contestant], pieces: Chunks) -> dict[str, Any]:
-    """Root mean square error of every measured position over the pieces, by model, in the position's unit."""
-    simulator, rows = problem.augmented.simulator, pieces.state.shape[1] - RUN_IN - 1
+def replay(models: Mapping[str, tuple[Problem, Contestant]], pieces: Chunks) -> dict[str, Any]:
+    """Root mean square error of every measured position over the pieces, by model, in the position's unit.
+
+    Each model has a problem of its own, which differ in the engine alone.
+    """
+    augmented = models["nominal"][0].augmented
+    simulator, rows = augmented.simulator, pieces.state.shape[1] - RUN_IN - 1
     fields = [(i, f) for i, f in enumerate(simulator.schema.outputs) if f.kind in ("position", "angle")]
     measured = np.asarray(pieces.state)[:, RUN_IN + 1 :]
     residuals = {
-        name: by_row(wrapped, problem.augmented.layout, measured - forecast(problem, model, pieces))
-        for name, model in contestants.items()
+        name: by_row(wrapped, augmented.layout, measured - forecast(problem, model, pieces))
+        for name, (problem, model) in models.items()
     }
     errors = {name: np.sqrt(np.mean(np.square(e, dtype=float), axis=(0, 1))) for name, e in residuals.items()}
     return {

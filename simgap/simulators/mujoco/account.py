@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.report import wording
+from simgap.diagnosis.report.names import number
 from simgap.effects.augmented import Augmented
 from simgap.effects.stepping import terms_of
 from simgap.engines import Engine, Term
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.patch import Patched, patch
 from simgap.simulators.mujoco.replay import rescaling
-from simgap.simulators.mujoco.sag import sags, words
+from simgap.simulators.mujoco.servo_errors import servo_errors, words
 from simgap.types import Recording, SimgapError
 
 if TYPE_CHECKING:
@@ -40,11 +41,12 @@ def account(
 ) -> dict[str, Any]:
     """The statement with parameters in their units, notes on what of the model is left out, and the changes in `file`.
 
-    If the stiffness of the model's servos was far off, the statement says so first; how far they sag it says last.
+    If the stiffness of the model's servos was far off, the statement says so first; how far they sag and how
+    late they follow it says last.
     """
     statement, start = _from_start(engine, statement), rescaling(engine)
     notes, written = [*filter(None, [start]), *engine.notes, *statement["notes"]], None
-    found = sags(engine, model.phi, _terms(engine, model), recordings)
+    found = servo_errors(engine, model.phi, _terms(engine, model), recordings)
     if start or statement["verdict"] in CURED:
         try:
             result = patched(engine, model, statement, Path())
@@ -56,12 +58,29 @@ def account(
         except SimgapError as error:
             notes.append(f"The findings could not be written into the model: {error}")
     said = {**statement, "notes": notes, "parameters": _sizes(engine, statement["parameters"]), "patched": written,
-            "sag": [asdict(s) for s in found]}  # fmt: skip
-    sagging = words(found) if said["verdict"] in CURED else ""
+            "servo_errors": [asdict(s) for s in found]}  # fmt: skip
+    servos = words(found, engine.time_step) if said["verdict"] in CURED or start else ""
     # The words are about parameters, which have units now.
     renewed = bool(start) or said["verdict"] == "parameters_only"
-    parts = [start, wording.statement(said) if renewed else said["statement"], sagging]
+    parts = [start, wording.statement(said) if renewed else said["statement"], servos, _in_open_loop(said)]
     return {**said, "statement": " ".join(filter(None, parts))}
+
+
+def _in_open_loop(said: Mapping[str, Any]) -> str:
+    """Errors of the model file and of the corrected model in open loop; empty if the search started at the file."""
+    replay = said.get("replay") or {}
+    positions = [p for p in replay.get("positions", []) if "given" in p["errors"]]
+    if not positions:
+        return ""
+    best = "augmented" if "augmented" in positions[0]["errors"] else "refitted"
+    each = [
+        f"{p['name']} from {number(1000 * p['errors']['given'])} to {number(1000 * p['errors'][best])} m{p['unit']}"
+        for p in positions
+    ]
+    return (
+        f"In open loop over {number(replay['seconds'])} s of held-out sessions the error goes from that of the model "
+        f"file to that of the corrected model: {', '.join(each)}."
+    )
 
 
 def _terms(engine: MujocoEngine, model: AugmentedModel) -> Float[np.ndarray, " k"]:

@@ -16,8 +16,10 @@ from simgap.simulators.mujoco.machine import AFFINE, Actuator, Joint, Machine, a
 from simgap.simulators.mujoco.payloads import PREFIX
 from simgap.types import Parameter
 
-WIDEST = float(np.log(3.0))
-"""A parameter may lie between a third of its nominal value and three times it."""
+WIDE, WIDE_IF_FAR = float(np.log(3.0)), float(np.log(10.0))
+"""A parameter may lie between a third of its nominal value and three times it; between a tenth and ten times it in a
+model that is far off, which is started from values that are known roughly. A range that is too narrow looks like
+missing physics."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,9 @@ class Scaled:
     of: float
     slots: tuple[Slot, ...]
 
-    def parameter(self, nominal: float) -> Parameter:
-        """The parameter of the search: the logarithm of the scale."""
-        return Parameter(self.name, "-", nominal - WIDEST, nominal + WIDEST, nominal)
+    def parameter(self, nominal: float, wide: float) -> Parameter:
+        """The parameter of the search: the logarithm of the scale, up to `wide` from its nominal value."""
+        return Parameter(self.name, "-", nominal - wide, nominal + wide, nominal)
 
     def words(self, phi: float) -> str:
         """The model's value and the fitted one: `kp shoulder_pan: 998 -> 12.1 N m/rad`."""

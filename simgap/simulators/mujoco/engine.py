@@ -14,7 +14,7 @@ from jaxtyping import Float
 from mujoco import rollout
 
 from simgap.engines import Term
-from simgap.simulators.mujoco.attributes import Scaled
+from simgap.simulators.mujoco.attributes import WIDE, WIDE_IF_FAR, Scaled
 from simgap.simulators.mujoco.changing import apply, arrays
 from simgap.simulators.mujoco.machine import Machine
 from simgap.simulators.mujoco.reading import Source
@@ -43,7 +43,8 @@ class MujocoEngine:
     source: the model as it was read. model: compiled, with a massless body for each payload; never changed.
     time_step: nominal interval between rows [s]. steps: MuJoCo's steps per row. parts: parts of a row in which commands
     may differ. rough_steps: steps per row of `rough`. scaled, switches: what the parameters and the terms change.
-    nominal: the parameters from which a search starts; zero for the model as it is.
+    nominal: the parameters from which a search starts; zero for the model as it is. given: the engine of the model as
+    it is, if the search starts elsewhere.
     """
 
     source: Source
@@ -56,6 +57,7 @@ class MujocoEngine:
     scaled: tuple[Scaled, ...]
     switches: tuple[Switch, ...]
     nominal: Float[np.ndarray, " p"]
+    given: "MujocoEngine | None" = None
 
     @cached_property
     def schema(self) -> Schema:
@@ -65,7 +67,8 @@ class MujocoEngine:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """What the model sets, as logarithms of scales on the model's values."""
-        return tuple(s.parameter(float(value)) for s, value in zip(self.scaled, self.nominal, strict=True))
+        wide = WIDE if self.given is None else WIDE_IF_FAR
+        return tuple(s.parameter(float(value), wide) for s, value in zip(self.scaled, self.nominal, strict=True))
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:

@@ -139,7 +139,7 @@ def _each(
 def rescaled(engine: MujocoEngine, shares: Mapping[str, float]) -> MujocoEngine:
     """The engine with some parameters multiplied by factors in its nominal values; their ranges move with them."""
     factors = np.array([shares.get(s.name, 1.0) for s in engine.scaled])
-    return accurate(replace(engine, nominal=engine.nominal + np.log(factors)))
+    return accurate(replace(engine, nominal=engine.nominal + np.log(factors), given=engine))
 
 
 def rescaling(engine: MujocoEngine) -> str:

@@ -12,7 +12,7 @@ from simgap.effects.augmented import Augmented
 from simgap.engines import Engine
 from simgap.simulators.mujoco import MujocoEngine, load, rescaled
 from simgap.simulators.mujoco.account import account, patched
-from simgap.simulators.mujoco.sag import sags
+from simgap.simulators.mujoco.servo_errors import servo_errors
 from simgap.types import Recording
 
 STEP = 0.02
@@ -168,26 +168,37 @@ def test_servos_sag_by_the_load_over_their_stiffness(engine: MujocoEngine) -> No
     """Links of 0.8 and 0.5 kg, whose middles are 0.125 and 0.35 m from the shoulder."""
     phi = engine.nominal.copy()
     phi[[p.name for p in engine.parameters].index("kp shoulder")] = np.log(0.25)
-    pan, shoulder, elbow = sags(engine, phi, np.zeros(len(engine.terms)), RESTING)
+    pan, shoulder, elbow = servo_errors(engine, phi, np.zeros(len(engine.terms)), RESTING)
     load = 9.81 * (0.8 * 0.125 + 0.5 * 0.35)
-    assert (pan.load, pan.fitted) == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert (shoulder.load, shoulder.nominal, shoulder.fitted) == pytest.approx((load, load / 80, load / 20), rel=1e-3)
-    assert (elbow.load, elbow.fitted) == pytest.approx((9.81 * 0.05, elbow.nominal), rel=1e-3)
+    assert (pan.load, pan.sag) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert (shoulder.load, shoulder.nominal_sag, shoulder.sag) == pytest.approx((load, load / 80, load / 20), rel=1e-3)
+    assert (elbow.load, elbow.sag) == pytest.approx((9.81 * 0.05, elbow.nominal_sag), rel=1e-3)
 
 
-def test_the_statement_says_which_servos_sag_otherwise_than_in_the_model_and_which_do_not(engine: MujocoEngine) -> None:
+def test_a_servo_is_behind_a_steady_command_by_its_damping_over_its_stiffness(engine: MujocoEngine) -> None:
+    rate = np.array([0.5, 0.0, 0.0])
+    command = rate * STEP * np.arange(100)[:, None]
+    path = engine.path(engine.nominal, np.zeros(len(engine.terms)), np.zeros(6), command)
+    pan = servo_errors(engine, engine.nominal, np.zeros(len(engine.terms)), RESTING)[0]
+    held = STEP / 2  # commands are held for a row: in the mean they are half a row old
+    assert (command[-1, 0] - path[-1, 0]) / 0.5 == pytest.approx(pan.lag + held, rel=0.01)
+
+
+def test_the_statement_says_which_servos_sag_or_lag_otherwise_than_in_the_model(engine: MujocoEngine) -> None:
     nearer = rescaled(engine, dict.fromkeys(KP, 1 / 20))
     said = account(nearer, model(nearer), statement(nearer, "nothing"), "arm.patched.xml", RESTING)
     assert said["statement"].endswith(
         "At rest, servos sag under the weight that they hold: shoulder by 670 mrad (34 mrad in the model), elbow by "
-        "250 mrad (12 mrad in the model). The others (pan) sag as in the model."
+        "250 mrad (12 mrad in the model). The others (pan) sag as in the model. In steady motion, servos are behind "
+        "their commands: pan by 1000 ms (50 ms in the model), shoulder by 750 ms (38 ms in the model), elbow by 750 ms "
+        "(38 ms in the model)."
     )
-    assert [s["joint"] for s in said["sag"]] == list(JOINTS)
+    assert [s["joint"] for s in said["servo_errors"]] == list(JOINTS)
     as_it_is = account(engine, model(engine), statement(engine, "missing_physics"), "arm.patched.xml", RESTING)
     assert "sag" not in as_it_is["statement"]
 
 
 def test_gravity_compensation_takes_load_off_servos(engine: MujocoEngine) -> None:
     terms = np.array([0.5 if t.effect == "joint_gravity" else 0.0 for t in engine.terms])
-    whole, half = (sags(engine, engine.nominal, t, RESTING) for t in (0 * terms, terms))
+    whole, half = (servo_errors(engine, engine.nominal, t, RESTING) for t in (0 * terms, terms))
     assert [s.load for s in half] == pytest.approx([s.load / 2 for s in whole], abs=1e-6)
