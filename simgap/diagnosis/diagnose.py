@@ -17,8 +17,10 @@ from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.problem import start
+from simgap.diagnosis.likelihood.resolution import dithered, resolution
 from simgap.diagnosis.report import experiment
 from simgap.diagnosis.report import statement as written
+from simgap.diagnosis.report.names import in_steps
 from simgap.diagnosis.validation import black_box, replay, scores
 from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.forecast import Contestant
@@ -79,6 +81,8 @@ def diagnose(
     """
     compiled.forget_if_many()
     rng = np.random.default_rng(seed)
+    steps = resolution([*sessions.fitted, *sessions.heldout])
+    sessions = dithered(sessions, steps, rng.spawn(1)[0])
     found, sessions = explained(simulator, sessions, rng, report)
     report("scoring on held-out sessions")
     contestants = _contestants(found, rng)
@@ -90,7 +94,7 @@ def diagnose(
     report("designing an experiment that separates the likeliest explanations")
     plan, notes = _experiment(found, sessions.training)
     statement = written.statement(name, found, sessions, outcome, plan, rng)
-    statement["notes"] += notes
+    statement["notes"] += [*notes, *in_steps(simulator.schema.outputs, steps)]
     statement["replay"] = _replayed(found, contestants, sessions.heldout)
     evidence = written.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)

@@ -1,15 +1,16 @@
 """Writes the files of a diagnosis to its folder, and loads its simulator from there."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Acting
 from simgap.engines import Engine
@@ -22,6 +23,9 @@ from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.refitted import refitted
 from simgap.simulators.spot import Spot
 from simgap.types import Schema, SimgapError, StepModel
+
+if TYPE_CHECKING:  # whoever loads a simulator diagnoses nothing
+    from simgap.diagnosis.diagnose import AugmentedModel, Diagnosis
 
 STATEMENT, PAGE, EXPERIMENT, MODEL = "diagnosis.json", "diagnosis.html", "experiment.csv", "augmented.npz"
 """The files; the experiment only where one is proposed."""

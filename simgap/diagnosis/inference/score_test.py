@@ -192,7 +192,9 @@ def closer(tested: Sequence[Screened], hypotheses: Sequence[Hypothesis]) -> list
     ratios = [later / value for value, later in pairwise(values)]
     ratios = [ratios[0], *ratios, ratios[-1]]
     shares = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
-    between = [values[i] * ratio**share for ratio in (1 / ratios[i], ratios[i + 1]) for share in shares]
+    # Between starts of opposite signs lies zero, where the law is silent: only the start itself is looked at there.
+    steps = [ratio if ratio > 0 else 1.0 for ratio in (1 / ratios[i], ratios[i + 1])]
+    between = [values[i] * step**share for step in steps for share in shares]
     laws = [best.hypothesis]
     if best.hypothesis.effect.jagged:
         laws += [c for c in hypotheses if _part(c, best.hypothesis)]

@@ -26,6 +26,7 @@ from simgap.diagnosis.inference.score_test import Screened, screen, vary
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
 from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.engines import is_engine
 from simgap.threads import THREADS, side_by_side
 
 FITTED = 10
@@ -183,6 +184,8 @@ def search(
         current = one_more(model, hypotheses, rng, report, chosen)
         required = current.screening.threshold / 2
         eligible = [t for t in current.tried if t.beyond > max(required, least(model.problem, base, model.fit, t.fit))]
+        if is_engine(problem.augmented.simulator):
+            eligible = eligible[:FINALISTS]  # each takes further tables
         best = None
         for t in eligible:
             retabulated, best = carried_on(model.problem, t, without)

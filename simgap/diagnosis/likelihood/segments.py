@@ -24,7 +24,7 @@ WARM = 30
 """Rows of past commands that run through the command path before a segment, so that lags start in the right state."""
 TURNS = 12
 """Turning points of each command before those rows, so that play starts in the right state; a real Spot has no more."""
-MOST, MOST_OF_ENGINE = 16_000, 4_000
+MOST, MOST_OF_ENGINE = 16_000, 1_600
 """Rows at most that are searched, and those with an engine, whose tables take a hundred evaluations a row. What only
 more rows would show is smaller than the misfit of any law on a real machine."""
 FEWEST, FEW, SIZES = 16, 32, 4
@@ -99,11 +99,19 @@ def scorable(recordings: Sequence[Recording]) -> int:
 
 def _segment(s: int, r: Recording, first: int, time_step: float) -> tuple:
     """Fields of the segment of session s whose scored rows begin at row `first`."""
-    rows, steps = RUN_IN + LENGTH + 1, len(r.time_s) - 1
     start = max(first - RUN_IN, 0)
+    successor = np.arange(start + 1, start + RUN_IN + LENGTH + 1)
+    counted = (successor > max(first, FIRST)) & (successor <= min(first + LENGTH, len(r.time_s) - 1))
+    return excerpt(s, r, start, counted, time_step)
+
+
+def excerpt(s: int, r: Recording, start: int, counted: Bool[np.ndarray, " t"], time_step: float) -> tuple:
+    """Fields of a segment of session s, from row `start` to the one after the last transition in `counted`.
+
+    After the last row of a session there is no step; nothing depends on its interval.
+    """
+    steps, rows = len(r.time_s) - 1, len(counted) + 1
     index = np.minimum(np.arange(start, start + rows), steps)
-    successor = np.arange(start + 1, start + rows)
-    counted = (successor > max(first, FIRST)) & (successor <= min(first + LENGTH, steps))
     time_s, interval = r.time_s[index], (r.time_s[np.minimum(index + 1, steps)] - r.time_s[index]) / time_step
     return (r.state[index], r.command[index], *sent_before(r.command, start), time_s - r.time_s[0],
             np.where(index < steps, interval, 1.0), counted, np.ones((1, rows)), s, start)  # fmt: skip

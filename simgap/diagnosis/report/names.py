@@ -1,8 +1,10 @@
 """Names and numbers as people read them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+from simgap.types import Field
 
 LISTED = 6
 """Maximum number of names in a sentence."""
@@ -31,6 +33,12 @@ def title(effect: str) -> str:
 def nominal(diagnosis: Mapping[str, Any]) -> str:
     """Which simulator the nominal one of a diagnosis is: not a model file itself if the search started elsewhere."""
     return "as the search began" if (diagnosis.get("model_file") or {}).get("start") else "as it is"
+
+
+def in_steps(outputs: Sequence[Field], steps: Iterable[float]) -> list[str]:
+    """A note on the outputs whose readings come in steps; none without any."""
+    each = [f"{f.name} {number(step)} {f.unit}" for f, step in zip(outputs, steps, strict=True) if step]
+    return [f"Readings come in steps: {', '.join(each)}. What is smaller than a step may be hidden."] if each else []
 
 
 def listed(names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, innovation
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, sent_before
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, excerpt
 from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
@@ -29,25 +29,15 @@ FEW = 1
 
 def windows(recordings: Sequence[Recording], time_step: float, horizon: int, stride: int) -> Chunks | None:
     """Pieces of RUN_IN + horizon + 1 rows, one every `stride` rows; None if all sessions are too short."""
-    rows = RUN_IN + horizon + 1
-    firsts = [(s, first) for s, r in enumerate(recordings) for first in range(0, len(r.time_s) - rows + 1, stride)]
-    parts = [_piece(s, recordings[s], first, rows, time_step) for s, first in firsts]
+    always = np.ones(RUN_IN + horizon, bool)
+    firsts = [(s, first) for s, r in enumerate(recordings) for first in range(0, len(r.time_s) - len(always), stride)]
+    parts = [excerpt(s, recordings[s], first, always, time_step) for s, first in firsts]
     return as_chunks(parts) if parts else None
 
 
 def window(recording: Recording, time_step: float, horizon: int, first: int) -> Chunks:
     """The piece that begins at row `first` of a recording."""
-    return as_chunks([_piece(0, recording, first, RUN_IN + horizon + 1, time_step)])
-
-
-def _piece(s: int, r: Recording, first: int, rows: int, time_step: float) -> tuple:
-    """Fields of the piece of session s that begins at row `first`."""
-    span = slice(first, first + rows)
-    time_s, state, command = (part[span] for part in (r.time_s, r.state, r.command))
-    # After the last row of a session there is no step; nothing depends on its interval.
-    interval = np.append(np.diff(r.time_s[first : first + rows + 1]) / time_step, 1.0)[:rows]
-    always = np.ones(rows - 1, bool), np.ones((1, rows))
-    return (state, command, *sent_before(r.command, first), time_s - r.time_s[0], interval, *always, s, first)
+    return as_chunks([excerpt(0, recording, first, np.ones(RUN_IN + horizon, bool), time_step)])
 
 
 Regimes = tuple[Regime, ...]

@@ -120,14 +120,18 @@ def test_the_page_says_first_where_the_diagnosis_started(found: dict[str, Any], 
 
 def test_the_page_has_open_loop_errors_of_every_joint(found: dict[str, Any], page: str) -> None:
     block = page.partition("Open loop:")[2]
-    assert "as is refitted with effects" in block.partition("pan_pos")[0]
+    assert "model file start refitted with effects" in block.partition("pan_pos")[0]
     for position in found["replay"]["positions"]:
-        errors = [position["errors"][model] for model in ("nominal", "refitted", "augmented")]
-        cells = re.search(rf"{position['name']} mrad ([\d.]+) ([\d.]+) ([\d.]+)", block)
+        errors = [position["errors"][model] for model in ("given", "nominal", "refitted", "augmented")]
+        cells = re.search(rf"{position['name']} mrad ([\d.]+) ([\d.]+) ([\d.]+) ([\d.]+)", block)
         assert cells, position
         assert [float(c) for c in cells.groups()] == pytest.approx([1000 * e for e in errors], rel=0.02)
     by_joint = {p["name"]: p["errors"] for p in found["replay"]["positions"]}
     assert by_joint["shoulder_pos"]["augmented"] < 0.5 * by_joint["shoulder_pos"]["nominal"]
+    said = re.search(r"model file to that of the corrected model: pan_pos from ([\d.]+) to ([\d.]+) mrad", page)
+    assert said
+    pan = by_joint["pan_pos"]
+    assert [float(n) for n in said.groups()] == pytest.approx([1000 * pan[m] for m in ("given", "augmented")], rel=0.01)
 
 
 def test_the_page_lists_every_change_of_the_model(found: dict[str, Any], page: str) -> None:

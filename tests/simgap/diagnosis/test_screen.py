@@ -43,6 +43,11 @@ def test_a_law_that_is_no_multiple_of_its_constant_is_looked_at_between_its_star
     assert any(v > 1 for v in values)
 
 
+def test_nothing_lies_between_starts_of_opposite_signs() -> None:
+    values = [d.values[0] for d in closer(screened("delay on base", 0.5, -1.0), KNOWN)]
+    assert set(values) == {0.5}
+
+
 def test_where_all_other_starts_explode_there_is_nothing_between() -> None:
     (direction,) = closer(screened("rate_limit on cmd_ee_vx", 8.0), KNOWN)
     assert direction.values == (8.0,)
