@@ -16,26 +16,29 @@ def _output_sites(layout: Layout) -> tuple[Site, ...]:
     )
 
 
-def _sensors(layout: Layout) -> list[tuple[str, list[int]]]:
-    """Groups of outputs that one sensor probably gives: a body's pose, a body's velocities, or a single output."""
-    groups: dict[str, list[int]] = {}
+def _sensors(layout: Layout) -> list[tuple[str, str, list[int]]]:
+    """Groups of outputs that one sensor probably gives: a body's pose, a body's velocities, or a single output. Each
+    with its name, and what it measures."""
+    groups: dict[tuple[str, str], list[int]] = {}
     for i, f in enumerate(layout.schema.outputs):
         what = "velocity" if f.kind == "velocity" else "pose"
-        groups.setdefault(f"{f.body} {what}" if f.body else f.name, []).append(i)
-    return list(groups.items())
+        groups.setdefault((f"{f.body} {what}", what) if f.body else (f.name, ""), []).append(i)
+    return [(name, what, members) for (name, what), members in groups.items()]
 
 
 def _sensor_sites(layout: Layout) -> tuple[Site, ...]:
+    """Poses of all bodies may be equally old, and so may velocities: motors of one kind have the same registers."""
     names = [f.name for f in layout.schema.state]
     return tuple(
-        Site(group, (), tuple(names[i] for i in members), "sensors", "s") for group, members in _sensors(layout)
+        Site(group, (), tuple(names[i] for i in members), "sensors", "s", what and f"of {what}")
+        for group, what, members in _sensors(layout)
     )
 
 
 def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row: Row, layout: Layout) -> Array:
     """The state c rows ago, interpolated linearly between rows."""
     delay = jnp.zeros(len(layout.schema.state))
-    for k, (_, members) in enumerate(_sensors(layout)):
+    for k, (*_, members) in enumerate(_sensors(layout)):
         delay = jnp.where(np.isin(np.arange(len(delay)), members), c[0, k], delay)
     # A sum in Python: XLA takes ten times as long to reduce one array.
     since = (jnp.maximum(0.0, 1 - jnp.abs(k - delay)) * wrapped(layout, then - state) for k, then in enumerate(past, 1))

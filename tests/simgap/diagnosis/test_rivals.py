@@ -55,6 +55,15 @@ def test_a_rival_that_fits_better_throughout_is_no_onset() -> None:
     assert behind == pytest.approx([promise - 100.0 for promise in level])
 
 
+def test_velocities_of_all_bodies_may_be_equally_old() -> None:
+    """One cause, such as the registers of motors of one kind, is one hypothesis."""
+    delays = {h.where: h for h in hypotheses_of(SPOT, SCALES) if h.effect.id == "sensor_delay"}
+    velocities = tuple(f.name for f in SPOT.simulator.schema.state if f.kind == "velocity")
+    assert delays["sensors of velocity"].outputs == velocities
+    assert len(delays["sensors of velocity"].groups) == 1
+    assert {"base velocity", "sensors of pose", "sensors"} < delays.keys()
+
+
 def test_what_only_the_last_search_found_is_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     def last_of_three(*given: Any) -> Any:
         found, recorded = explained(*given)
