@@ -2,7 +2,7 @@
 
 At rest such a reading repeats exactly. A likelihood with a noise scale would then be greatest for a model that never
 moves: rows at rest would have no error at all, and all others would count as outliers. Uniform noise of one step, which
-no reading contradicts, removes that [Uria, Murray & Larochelle 2013, RNADE, section 4.2].
+no reading contradicts, removes that [Uria, Murray & Larochelle 2013].
 """
 
 from collections.abc import Sequence

@@ -67,19 +67,20 @@ def account(
 
 
 def _in_open_loop(said: Mapping[str, Any]) -> str:
-    """Errors of the model file and of the corrected model in open loop; empty if the search started at the file."""
+    """Errors in open loop of the model file and of what was found; empty if the search started at the file."""
     replay = said.get("replay") or {}
     positions = [p for p in replay.get("positions", []) if "given" in p["errors"]]
     if not positions:
         return ""
-    best = "augmented" if "augmented" in positions[0]["errors"] else "refitted"
+    found = "augmented" if "augmented" in positions[0]["errors"] else "refitted"
+    simulator = {"augmented": "simulator with the effects", "refitted": "refitted simulator"}[found]
     each = [
-        f"{p['name']} from {number(1000 * p['errors']['given'])} to {number(1000 * p['errors'][best])} m{p['unit']}"
+        f"{p['name']} from {number(1000 * p['errors']['given'])} to {number(1000 * p['errors'][found])} m{p['unit']}"
         for p in positions
     ]
     return (
-        f"In open loop over {number(replay['seconds'])} s of held-out sessions the error goes from that of the model "
-        f"file to that of the corrected model: {', '.join(each)}."
+        f"In open loop over {number(replay['seconds'])} s of held-out sessions, errors of the model file and of the "
+        f"{simulator}: {', '.join(each)}."
     )
 
 
