@@ -60,7 +60,10 @@ def conclude(
     worse = {pair: scores.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
     # A law with which forecasts diverge cannot be physical, however well it predicts the next row.
     possible = tuple(not any(scores.explodes(a, b) for a, b in _pairs(judged, i)) for i in range(len(named)))
-    verdict = _verdict(found, any(named), any(possible) or share is not None or bool(beaten), moved, seen)
+    # A refit that forecasts worse than the simulator before it was led astray by what the simulator lacks.
+    misled = bool(worse["nominal", "refitted"]) and bool(found.noise_effects)
+    more = any(possible) or share is not None or bool(beaten) or misled
+    verdict = _verdict(found, any(named), more, moved, seen)
     something_else = low_share or bool(beaten) or any(p and not n for p, n in zip(possible, named, strict=True))
     return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved)
 

@@ -128,9 +128,7 @@ def test_the_page_has_open_loop_errors_of_every_joint(found: dict[str, Any], pag
         assert [float(c) for c in cells.groups()] == pytest.approx([1000 * e for e in errors], rel=0.02)
     by_joint = {p["name"]: p["errors"] for p in found["replay"]["positions"]}
     assert by_joint["shoulder_pos"]["augmented"] < 0.5 * by_joint["shoulder_pos"]["nominal"]
-    said = re.search(
-        r"and of the simulator with the effects: pan_pos from ([\d.]+) to ([\d.]+) mrad", page
-    )
+    said = re.search(r"and of the simulator with the effects: pan_pos from ([\d.]+) to ([\d.]+) mrad", page)
     assert said
     pan = by_joint["pan_pos"]
     assert [float(n) for n in said.groups()] == pytest.approx([1000 * pan[m] for m in ("given", "augmented")], rel=0.01)

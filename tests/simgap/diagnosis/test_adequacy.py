@@ -1,6 +1,7 @@
 """Verdicts: what too little data leaves open, what "nothing" claims, and names that stand whatever else is missing."""
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,17 @@ from small import RICH, acting, sessions
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.report import wording
-from simgap.diagnosis.validation.scores import HORIZONS, Judged, beats, changes, dearer_at, surely_likelier, worse_at
+from simgap.diagnosis.validation.adequacy import conclude
+from simgap.diagnosis.validation.scores import (
+    HORIZONS,
+    Judged,
+    Judgement,
+    beats,
+    changes,
+    dearer_at,
+    surely_likelier,
+    worse_at,
+)
 from simgap.types import Recording, Sessions
 
 
@@ -75,6 +86,20 @@ def test_where_a_model_costs_more_than_laws_may_differ_is_known_by_horizon() -> 
     assert dearer_at(judged(after), judged(before)) == set()
     after[:, 0] = np.inf
     assert dearer_at(judged(before), judged(after)) == {HORIZONS[0], HORIZONS[2]}
+
+
+@pytest.mark.parametrize(("refit", "verdict"), [(1.0, "missing_physics"), (1.5, "unexplained")])
+def test_noise_about_a_refit_that_forecasts_worse_is_no_finding(refit: float, verdict: str) -> None:
+    """Then the refit was led astray, and its noise stands for what its laws lack."""
+    refitted = noise(0)
+    refitted[:, 2] *= refit
+    heldout = {"nominal": judged(noise(0)), "refitted": judged(refitted), "black_box": judged(refitted)}
+    nothing: Any = SimpleNamespace(nats=np.zeros(1), terms=())
+    found: Any = SimpleNamespace(members=(), noise_effects=[SimpleNamespace(predictable=False)], baseline=0,
+                                 whiteness=nothing, law=nothing)  # fmt: skip
+    seen: Any = SimpleNamespace(few=False, undetectable_effects=(), unexcited_channels=())
+    rng = np.random.default_rng(0)
+    assert conclude(found, Judgement(heldout, heldout, ()), seen, None, rng).verdict == verdict
 
 
 def test_two_pieces_are_too_few_to_be_sure() -> None:
