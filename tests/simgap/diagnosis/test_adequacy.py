@@ -199,8 +199,10 @@ def models(**errors: float) -> dict[str, Any]:
 
 
 def test_the_headline_compares_with_the_better_of_nominal_and_refitted() -> None:
-    said = wording._improvement(models(nominal=0.175, refitted=0.376, augmented=0.017))
-    assert "from 17.5% (the simulator as it is) to 1.7%" in said
+    fit = {"models": models(nominal=0.175, refitted=0.376, augmented=0.017)}
+    assert "from 17.5% (the simulator as it is) to 1.7%" in wording._improvement({"fit": fit})
+    started = wording._improvement({"fit": fit, "model_file": {"start": {"kp pan": 0.05}}})
+    assert "from 17.5% (the simulator as the search began) to 1.7%" in started
 
 
 def test_a_refit_that_is_worse_is_a_warning() -> None:

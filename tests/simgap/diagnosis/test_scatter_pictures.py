@@ -46,8 +46,8 @@ def test_rows_that_do_not_move_make_no_picture() -> None:
 
 def test_scatter_widens_along_the_line() -> None:
     rng = np.random.default_rng(0)
-    moving = rng.uniform(0, 1.2, 4000)
-    e = (1 + 2 * moving[:, None]) * NOISE.scale * rng.normal(size=(4000, 2))
+    moving = np.tile(rng.uniform(0, 1.2, (4000, 1)), 2)
+    e = (1 + 2 * moving) * NOISE.scale * rng.normal(size=(4000, 2))
     (right,), (wrong,) = (picture(Widening(e, NOISE, moving, ratio)) for ratio in (3.0, 1.5))
     assert near_the_line(right) > 0.8
     assert near_the_line(wrong) < 0.4
