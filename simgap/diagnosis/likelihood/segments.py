@@ -122,9 +122,9 @@ def most_rows(simulator: StepModel | Engine) -> int:
     return MOST_OF_ENGINE if is_engine(simulator) else MOST
 
 
-def thinning(recordings: Sequence[Recording], simulator: StepModel | Engine) -> int:
-    """The least number k such that every k-th row makes at most `most_rows`."""
-    return -(-sum(len(r.time_s) for r in recordings) // most_rows(simulator))
+def thinning(recordings: Sequence[Recording], most: int) -> int:
+    """The least number k such that every k-th row makes at most `most`."""
+    return -(-sum(len(r.time_s) for r in recordings) // most)
 
 
 def filled(count: int) -> int:

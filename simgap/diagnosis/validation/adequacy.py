@@ -88,10 +88,15 @@ def _is_named(found: Explanation, judged: Judgement, i: int, low_share: bool, rn
     search before found it too, if there were several.
 
     An effect that makes forecasts of several steps worse is not named, however well it predicts the next row: worse
-    significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both.
+    significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both. Nor is one that makes none of them better
+    while something is left without a name.
     """
     m, pairs = found.members[i], _pairs(judged, i)
     if m.hypothesis.effect.id in found.unsettled:
+        return False
+    # Where something unnamed is left, a gain of the likelihood alone may be that of a law which stands in for it.
+    left_over = low_share or found.whiteness.nats.any() or found.law.terms
+    if left_over and not any(c["value"] < 0 for c in scores.changes(*pairs[0], rng, _outputs(found, m))):
         return False
     worse_on_both = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
     if any(h > 1 for h in worse_on_both) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
@@ -105,12 +110,16 @@ def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judg
     return (heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"])
 
 
+def _outputs(found: Explanation, member: Member) -> list[int]:
+    """The outputs that an effect touches."""
+    return np.flatnonzero(touched(found.problem.augmented.layout, found.fit, member.without)).tolist()
+
+
 def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:
     """Whether an effect improves held-out forecasts at every horizon, by `LARGE` at one, with a well-known constant."""
     if m.odds[m.hypothesis.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
         return False
     if not differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd, WELL_DETERMINED):
         return False
-    outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
-    changes = scores.changes(without, with_it, rng, outputs)
+    changes = scores.changes(without, with_it, rng, _outputs(found, m))
     return all(c["ci95"][1] < 0 for c in changes) and min(c["value"] for c in changes) < -LARGE

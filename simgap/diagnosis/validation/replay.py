@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, thinning
+from simgap.diagnosis.likelihood.segments import MOST, RUN_IN, Chunks, thinning
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
 from simgap.engines import Engine
 from simgap.kinematics import wrapped
@@ -18,10 +18,13 @@ LONGEST_S = 5.0
 
 
 def pieces_of(heldout: Sequence[Recording], engine: Engine) -> Chunks | None:
-    """Pieces to replay: consecutive ones, with gaps if there are many rows; None if all sessions are too short."""
+    """Pieces to replay: consecutive ones, with gaps if there are many rows; None if all sessions are too short.
+
+    A row of a replay takes one evaluation of the engine, so there may be as many as without an engine.
+    """
     longest = max(len(r.time_s) for r in heldout) - RUN_IN - 1
     rows = min(round(LONGEST_S / engine.time_step), longest)
-    return windows(heldout, engine.time_step, rows, thinning(heldout, engine) * rows) if rows > 0 else None
+    return windows(heldout, engine.time_step, rows, thinning(heldout, MOST) * rows) if rows > 0 else None
 
 
 def replay(models: Mapping[str, tuple[Problem, Contestant]], pieces: Chunks) -> dict[str, Any]:

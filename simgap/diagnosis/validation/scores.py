@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from simgap.diagnosis.config import LEAST_SESSIONS, LEAST_SHARE, LEVEL, MARGIN
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, thinning
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, most_rows, thinning
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density
 from simgap.diagnosis.validation.bootstrap import Draws, averages, averages_known, interval, resample
 from simgap.diagnosis.validation.forecast import Contestant, forecast, windows
@@ -221,7 +221,7 @@ def explained_share(refitted: Judged, named: Judged, box: Judged, rng: np.random
 
 def pieces_of(recordings: Sequence[Recording], simulator: StepModel | Engine) -> Chunks | None:
     """Pieces to score, with the longest horizon that at least one session allows; None if there is none."""
-    stride = STRIDE * thinning(recordings, simulator)
+    stride = STRIDE * thinning(recordings, most_rows(simulator))
     for horizon in sorted(HORIZONS, reverse=True):
         pieces = windows(recordings, simulator.time_step, horizon, stride)
         if pieces is not None:

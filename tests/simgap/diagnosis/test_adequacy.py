@@ -14,6 +14,7 @@ from small import RICH, acting, sessions
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.report import wording
+from simgap.diagnosis.validation import adequacy
 from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.scores import (
     HORIZONS,
@@ -100,6 +101,24 @@ def test_noise_about_a_refit_that_forecasts_worse_is_no_finding(refit: float, ve
     seen: Any = SimpleNamespace(few=False, undetectable_effects=(), unexcited_channels=())
     rng = np.random.default_rng(0)
     assert conclude(found, Judgement(heldout, heldout, ()), seen, None, rng).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("error", "left_over", "named"), [(1.003, False, True), (1.003, True, False), (0.9, True, True)]
+)
+def test_what_improves_no_forecast_has_no_name_while_something_is_left(
+    error: float, left_over: bool, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A law that stands in for another gains likelihood, and predicts nothing better."""
+    monkeypatch.setattr(adequacy, "_outputs", lambda *_: [0, 1, 2])
+    without, augmented = judged(noise(0)), judged(error * noise(0))
+    member = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="sensor_scale")))
+    found: Any = SimpleNamespace(
+        members=[member], unsettled=frozenset(), names=lambda _: True, law=SimpleNamespace(terms=()),
+        whiteness=SimpleNamespace(nats=np.array([float(left_over)])),
+    )  # fmt: skip
+    of = Judgement({"augmented": augmented}, {"augmented": augmented}, ((without, without),))
+    assert adequacy._is_named(found, of, 0, False, np.random.default_rng(0)) == named
 
 
 def test_two_pieces_are_too_few_to_be_sure() -> None:
