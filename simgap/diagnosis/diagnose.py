@@ -16,7 +16,6 @@ from simgap.diagnosis.inference.model import Reporter
 from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
-from simgap.diagnosis.likelihood.problem import start
 from simgap.diagnosis.likelihood.resolution import dithered, resolution
 from simgap.diagnosis.report import experiment
 from simgap.diagnosis.report import statement as written
@@ -166,9 +165,9 @@ def _replayed(
     pieces = for_heldout(layout, pieces, found.known_supports)
     models = {name: (found.problem, model) for name, model in contestants.items() if name != "black_box"}
     if (given := given_of(simulator)) is not simulator:
-        problem, nominal = found.problem._replace(augmented=Augmented(given)), contestants["nominal"]
-        as_given = nominal._replace(v=nominal.v._replace(phi=start(problem).phi))
-        models["given"] = problem, as_given
+        augmented, nominal = Augmented(given), contestants["nominal"]
+        as_given = nominal._replace(v=nominal.v._replace(phi=augmented.nominal))
+        models["given"] = found.problem._replace(augmented=augmented), as_given
     return replay.replay(models, pieces)
 
 
