@@ -10,9 +10,9 @@ LISTED = 6
 """Maximum number of names in a sentence."""
 
 
-def number(value: float) -> str:
-    """Three significant digits; thousands are written out, not as powers of ten."""
-    return f"{float(f'{value:.3g}'):g}"
+def number(value: float, digits: int = 3) -> str:
+    """A number to some significant digits; thousands are written out, not as powers of ten."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def quantity(constant: dict[str, Any]) -> str:

@@ -149,7 +149,7 @@ def rescaling(engine: MujocoEngine) -> str:
     if all(share == 1 for share in shares):
         return ""
     if max(shares) == min(shares):
-        how = f"divided by {_rounded(1 / shares[0])}" if shares[0] < 1 else f"times {_rounded(shares[0])}"
+        how = f"divided by {number(1 / shares[0], 2)}" if shares[0] < 1 else f"times {number(shares[0], 2)}"
         return f"{_words(shares)} The diagnosis takes the model with kp {how} as the nominal simulator."
     values = [f"{s.name} {number(share * s.of)} {s.unit} ({number(s.of)} in the model)" for s, share in servos]
     return f"{_words(shares)} The diagnosis starts from {', '.join(values)}, and from dampings that fit with these."
@@ -179,10 +179,5 @@ def _words(shares: Sequence[float]) -> str:
     if low < 1 < high:
         return "The stiffness of the model's position servos (kp) is far off."
     ends, which = ((1 / high, 1 / low), "stiff") if high <= 1 else ((low, high), "soft")
-    factor = f"about {_rounded(ends[0])}" if low == high else f"{_rounded(ends[0])} to {_rounded(ends[1])}"
+    factor = f"about {number(ends[0], 2)}" if low == high else f"{number(ends[0], 2)} to {number(ends[1], 2)}"
     return f"The model's position servos are {factor} times too {which} (kp)."
-
-
-def _rounded(factor: float) -> str:
-    """Two significant digits, never as a power of ten."""
-    return f"{float(f'{factor:.2g}'):g}"

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from simgap.diagnosis.report.names import number
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.types import Recording
 
@@ -90,11 +91,11 @@ def words(found: Sequence[ServoError], time_step: float) -> str:
     """
     sagging = _sentence(
         "At rest, servos sag under the weight that they hold", "sag", [s.joint for s in found],
-        [(s.nominal_sag, s.sag) for s in found], SAG_SHOWS, lambda i, sag: f"{_thousandths(sag)} m{found[i].unit}",
+        [(s.nominal_sag, s.sag) for s in found], SAG_SHOWS, lambda i, sag: f"{number(1000 * sag, 2)} m{found[i].unit}",
     )  # fmt: skip
     lagging = _sentence(
         "In steady motion, servos are behind their commands", "follow", [s.joint for s in found],
-        [(s.nominal_lag, s.lag) for s in found], LAG_SHOWS * time_step, lambda _, lag: f"{_thousandths(lag)} ms",
+        [(s.nominal_lag, s.lag) for s in found], LAG_SHOWS * time_step, lambda _, lag: f"{number(1000 * lag, 2)} ms",
     )  # fmt: skip
     return " ".join(filter(None, [sagging, lagging]))
 
@@ -116,8 +117,3 @@ def _sentence(
     others = [joint for i, joint in enumerate(joints) if i not in visible]
     elsewhere = f" The others ({', '.join(others)}) {verb} as in the model." if others else ""
     return f"{start}: {', '.join(each)}.{elsewhere}"
-
-
-def _thousandths(value: float) -> str:
-    """Two significant digits, never as a power of ten."""
-    return f"{float(f'{1000 * value:.2g}'):g}"
