@@ -19,6 +19,8 @@ os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are c
 os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="simgap-prefect-")
 os.environ.pop("MLFLOW_TRACKING_URI", None)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
+# There are more workers than cores. XLA's threads for a second core would wait for each other instead of computing.
+os.environ.setdefault("PJRT_NPROC", "1")
 
 import flows.flow  # noqa: F401  # settles the environment before any library reads it
 from tasks.server import NONE

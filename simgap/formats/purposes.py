@@ -8,7 +8,12 @@ from simgap.derived import derived, sentence
 from simgap.diagnosis.inference.explain import split
 from simgap.engines import Engine
 from simgap.formats.recordings import digest, read_recordings
+from simgap.survey import kinematics
 from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
+
+ALIKE, OFF = 0.9, 1.5
+"""From this correlation on, a velocity has the form of its position's rate of change; a factor beyond this between the
+two is then one of units or signs, and not a sensor that is badly calibrated."""
 
 
 class Folders(NamedTuple):
@@ -64,16 +69,32 @@ def together(several: Sequence[Given]) -> Given:
 def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline: Given | None) -> Sessions:
     """Sessions by purpose. Without `heldout`, some of `recordings` are held out.
 
-    Raises RecordingError where a velocity is a difference of its position, or a session serves two purposes.
+    Raises RecordingError where a velocity is a difference of its position or has other units, or a session serves two
+    purposes.
     """
-    for given in (recordings, heldout, baseline):
-        if given and (differences := derived(schema.measured, given.sessions)):
-            raise RecordingError("\n".join(f"{given.place}: column {sentence(d)}" for d in differences))
+    for given in filter(None, (recordings, heldout, baseline)):
+        if wrong := [
+            *map(sentence, derived(schema.measured, given.sessions)),
+            *_in_other_units(schema, given.sessions),
+        ]:
+            raise RecordingError("\n".join(f"{given.place}: column {why}" for why in wrong))
     if heldout:
         training, held_out = list(recordings.sessions), _apart(heldout, recordings.sessions)
     else:
         training, held_out = split(recordings.sessions)
     return Sessions(training, held_out, _apart(baseline, [*training, *held_out]) if baseline else [])
+
+
+def _in_other_units(schema: Schema, sessions: Sequence[Recording]) -> list[str]:
+    """Why velocities cannot be the rates of their positions: a sentence for each."""
+    return [
+        f"{k.position} changes {k.slope:.3g} times as fast as {velocity} says (correlation {k.correlation:.2f}): one "
+        "of the two has other units or another sign, which the diagnosis would find instead of the physics. Give "
+        "`unit` or `sign` in the mapping (`simgap import`). Of a model file you may also remove both columns: the "
+        "diagnosis then leaves this joint out."
+        for velocity, k in kinematics(schema.measured, sessions).items()
+        if abs(k.correlation) > ALIKE and not 1 / OFF < k.slope < OFF
+    ]  # fmt: skip
 
 
 def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:

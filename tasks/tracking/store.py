@@ -10,7 +10,6 @@ from typing import Any
 
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
-from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 from sqlalchemy import Engine, event
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -69,6 +68,8 @@ def make_database(path: Path, artifacts: Path) -> None:
     MLflow's migrations, killed midway, leave a database that no start mends.
     """
     if not path.exists():
+        from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # a second of imports
+
         new = path.with_name(f"{path.name}.new")
         with _explaining(f"sqlite:///{path}"):
             new.unlink(missing_ok=True)
