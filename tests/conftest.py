@@ -29,6 +29,22 @@ settings.register_profile("simgap", deadline=None)  # how long an example takes 
 settings.load_profile("simgap")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files of flows, which start processes and wait for them, are spread over the first three quarters of the others.
+
+    At once they would leave cores idle, and compile the same programs several times.
+    """
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    waiting = [path for path in files if path.parent.name == "flows"]
+    order = [path for path in files if path.parent.name != "flows"]
+    apart = 3 * len(order) // (4 * len(waiting) or 1)
+    for k, path in enumerate(waiting):
+        order.insert(k * (apart + 1), path)
+    items[:] = [item for path in order for item in files[path]]
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
