@@ -26,7 +26,7 @@ from tasks.sealed.examine import finished as examined_before
 from tasks.sealed.workspace import SealedWorkspace
 
 ROOT = Path(__file__).parents[2]
-TINY = {"conceal": {"nulls": 1, "effects": ["saturation"]}}
+TINY = {"conceal": {"nulls": 1, "effects": ["saturation"]}, "examine": {"workers": 1}}
 
 
 @pytest.fixture(scope="module")
