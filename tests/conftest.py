@@ -19,7 +19,7 @@ os.environ["PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW"] = "ignore"  # tasks are c
 os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="simgap-prefect-")
 os.environ.pop("MLFLOW_TRACKING_URI", None)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".jax"))
-# There are more workers than cores. XLA's threads for a second core would wait for each other instead of computing.
+# There are more workers than cores: with XLA's threads for a second core, a search costs a tenth more processor time.
 os.environ.setdefault("PJRT_NPROC", "1")
 
 import flows.flow  # noqa: F401  # settles the environment before any library reads it

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-# A core a case: with threads of XLA for two, a case takes an eighth less time, but a seventh more of the processor's.
+# A core a case: with threads of XLA for two, a case takes a sixth less time, but a tenth more of the processor's.
 os.environ.setdefault("PJRT_NPROC", "1")
 
 import flows  # noqa: F401  # settles the environment before JAX is imported
