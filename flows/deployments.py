@@ -6,7 +6,7 @@ from pydantic import Field
 
 from flows import diagnose as diagnose_flow
 from flows import policy as policy_flow
-from flows import provenance, train
+from flows import provenance, train, twin
 from flows import reproduce as reproduce_flow
 from flows import track as track_flow
 from flows.flow import flow
@@ -36,7 +36,7 @@ def reproduce(
     seeds: Seeds,
     overrides: Overrides,
 ) -> None:
-    """Everything that `dvc repro` does: recordings, models, scores, report, policies, tracking, diagnosis.
+    """Everything that `dvc repro` does: recordings, models, scores, report, policies, a twin, tracking, diagnosis.
 
     Args:
         name: The run's name, here and in MLflow, and its folder in sweeps/; letters, digits, dashes and underscores. A
@@ -85,7 +85,8 @@ def track(
     policies: Policies,
     overrides: Overrides,
 ) -> None:
-    """Learn models, in each a policy, and run the policies on the virtual Spot along an ellipse and a helix.
+    """Learn models, in each a policy, and run the policies along an ellipse and a helix: on the virtual Spot, or on a
+    twin of the recorded one.
 
     Args:
         name: The run's name, here and in MLflow, and its folder in sweeps/; letters, digits, dashes and underscores. A
@@ -101,6 +102,7 @@ def track(
         prepare(source, params, root)
         train.run(source, params, root)
         policy_flow.run(source, params, root)
+        twin.run(source, params, root)
         workspace, store = Workspace(root, source), provenance.store(policy_flow.EXPERIMENT)
         rows = track_flow.run(source, params, root)
         best = track_tasks.register_best(workspace, rows, policies.noise, root.name, store)

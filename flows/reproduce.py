@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from flows import diagnose, policy, recordings, report, running, score, track, train, transitions
+from flows import diagnose, policy, recordings, report, running, score, track, train, transitions, twin
 from flows.flow import flow
 from simgap.cli import progress
 from simgap.types import SimgapError
@@ -36,6 +36,7 @@ def run(source: str, params: Params, root: Path) -> None:
     score.run(source, params, root)
     report.run(source, params, root)
     attempt(policy.run)
+    attempt(twin.run)
     attempt(track.run)
     diagnose.run(source, params, root)
     workspace, server = Workspace(root, source), running.find("mlflow")

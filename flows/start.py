@@ -18,7 +18,7 @@ from tasks import names
 from tasks.workspace import Workspace
 
 PARAMS = Path("params.yaml")
-FOLDERS = [Path(name) for name in ("data", "models", "scores", "policies", "tracks", "reports")]
+FOLDERS = [Path(name) for name in ("data", "models", "scores", "policies", "twins", "tracks", "reports")]
 """What stages write to in the project."""
 
 

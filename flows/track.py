@@ -17,7 +17,7 @@ from simgap.policies.follow import Run
 from simgap.types import SimgapError
 from tasks import policy, track, track_report
 from tasks.files.models import load_policy
-from tasks.params import Params
+from tasks.params import FolderParams, Params
 from tasks.tracking.runs import grid_run
 from tasks.workspace import Workspace
 
@@ -39,6 +39,8 @@ def run(source: str, params: Params, root: Path) -> list[track_report.Row]:
         progress.say(f"no policy of {cell.name}: left out")
     if not found:
         raise SimgapError(f"{workspace.policies}: there is no policy of this grid. Run the stage `policy`.")
+    recorded = isinstance(params.source(source), FolderParams)
+    machine = track.robot(workspace, recorded, params.track)
     tags = provenance.tags(workspace, workspace.policies)
     controllers = track.controllers(params.track)
     rows: list[track_report.Row] = []
@@ -49,15 +51,15 @@ def run(source: str, params: Params, root: Path) -> list[track_report.Row]:
     ):
         for name, controller in controllers.items():
             with bars.job(name, 1):
-                rows += track.run(workspace, name, controller, {"policy": name}, params.track)[0]
+                rows += track.run(workspace, name, controller, {"policy": name}, machine, params.track)[0]
         for cell in found:
             with bars.job(cell.name, 1):
                 learnt, about = load_policy(workspace.policy(cell)), track.about(workspace, cell)
-                new, done = track.run(workspace, cell.name, learnt, about, params.track)
+                new, done = track.run(workspace, cell.name, learnt, about, machine, params.track)
                 track.log_cell(workspace, cell, new, store)
                 rows += new
                 runs |= {(shape, cell.model, cell.sample_size, cell.seed): r for shape, r in done.items()}
-        notes = track_report.notes(workspace, found, params.policy)
+        notes = [track_report.on(workspace, recorded), *track_report.notes(workspace, found, params.policy)]
         summary = track_report.write(workspace, rows, runs, notes, params.report.figure_dpi)
         track.log(parent, workspace, summary)
     progress.table(f"tracking on {source}", [{k: row.get(k, "") for k in SHOWN} for row in summary])

@@ -1,7 +1,7 @@
 """What a diagnosis finds in a share of the training sessions: the simulator of the models that are given it."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from prefect import task
@@ -18,6 +18,9 @@ from simgap.types import ConfigError, Recording, Sessions
 from tasks.cells import finished
 from tasks.fingerprint import of_diagnosis
 from tasks.workspace import Cell, Share, Workspace
+
+if TYPE_CHECKING:
+    from simgap.diagnosis.inference.explain import Explanation
 
 FITTED = 0.75
 """Share of the transitions that the effects are fitted to; the others judge, none of the test sessions does."""
@@ -78,16 +81,23 @@ def find(
         return
     # Should this fail, what was found by other code must not pass for its result.
     remove_file(record, workspace.root)
-    start, spot = clock(), Spot(time_step=time_step)
-    from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
-
-    found = explain(spot, used, np.random.default_rng(share.seed), report)
-    simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
+    start = clock()
+    simulator, found = diagnose(Spot(time_step=time_step), used, share.seed, report)
     save_arrays(arrays, augmented_arrays(simulator))
     write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),
                               "found": [m.hypothesis.name for m in found.members if found.names(m)],
                               "scattered": [s.id for s in found.noise_effects]})  # fmt: skip
+
+
+def diagnose(
+    spot: Spot, used: Sessions, seed: int, report: Callable[[str], None]
+) -> tuple[AugmentedSimulator, "Explanation"]:
+    """The kinematic model with what a diagnosis of these sessions finds, and the whole of what it finds."""
+    from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
+
+    found = explain(spot, used, np.random.default_rng(seed), report)
+    return AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales), found
 
 
 def seen(workspace: Workspace, share: Share, time_step: float) -> list[Recording]:

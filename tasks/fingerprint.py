@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import simgap
-from tasks.params import PolicyParams, TrainParams
+from tasks.params import Params, PolicyParams, TrainParams
 from tasks.workspace import Cell, Share
 
 TRAINING = ("simgap.learn",)
@@ -21,6 +21,8 @@ RESIDUAL = (*AUGMENTED, "simgap.residual.learn")
 """The same where the residual is learnt."""
 DIAGNOSIS = ("simgap.diagnosis.inference.explain",)
 """Where the code that finds effects begins."""
+TWIN = ("simgap.robots.twin.score", "simgap.robots.twin.fit", "simgap.scores", "simgap.learn", *DIAGNOSIS)
+"""Where the code begins that makes a twin, and compares it with models."""
 WHOLE_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.simulators.spot")
 """Where the code that an examination examines begins."""
 MODEL_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.loading.model_files", "simgap.simulators.mujoco.account")
@@ -90,6 +92,13 @@ def of_policy(cell: Cell, model: str, data_digest: str, params: PolicyParams, co
     """Identifies what a policy depends on; `model`: the fingerprint of the model it learns in."""
     relevant = {"model": model, "data": data_digest, "params": relevant_policy_params(params), "code": code}
     return _mark({"cell": cell, **relevant})
+
+
+def of_twin(data_digest: str, params: Params, code: str) -> str:
+    """Identifies what a twin and its scores depend on."""
+    relevant = {"twin": params.twin, "train": params.train, "score": params.score, "transitions": params.transitions}
+    dumped = {name: block.model_dump(mode="json") for name, block in relevant.items()}
+    return _mark({"data": data_digest, "params": dumped, "code": code})
 
 
 def relevant_policy_params(params: PolicyParams) -> dict[str, Any]:

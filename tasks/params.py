@@ -11,30 +11,23 @@ from simgap.formats.validation import explained
 from simgap.formats.yaml_files import read_yaml
 from simgap.policies import environment, follow, learn, references, sac
 from simgap.residual import config
+from simgap.robots.twin import config as twin
 from simgap.types import ConfigError
 from tasks import names
 from tasks.ranges import (
     MOST_VALUES,
-    Cases,
     Dpi,
     Gain,
     Metres,
     Name,
-    Part,
-    Parts,
-    Patience,
     Ranged,
     Rate,
     SampleSize,
     Seed,
-    SessionFiles,
     SessionLength,
-    SessionRows,
     Sessions,
-    Share,
     Speed,
     Steps,
-    Strength,
     Strict,
     Workers,
     check_cells,
@@ -67,6 +60,7 @@ class FolderParams(Strict):
     folder: Path = Field(description="Folder of the recording set, absolute or from the project's root.")
     training: list[str] = Field(min_length=1, description="Glob patterns of training sessions.")
     test: list[str] = Field(min_length=1, description="Glob patterns of test sessions.")
+    further: list[str] = Field(default=[], description="Glob patterns of sessions for the robot's twin alone.")
 
 
 class TransitionsParams(Strict):
@@ -116,6 +110,13 @@ class PolicyParams(Strict):
         return self
 
 
+class TwinParams(Strict):
+    """A robot that stands in for a recorded one."""
+
+    seed: Seed = Field(description="Seed of its fit and of its diagnosis.")
+    fit: Annotated[twin.Config, Ranged()]
+
+
 class ProportionalParams(Strict):
     """What policies are compared with, a controller for every gain."""
 
@@ -148,6 +149,7 @@ class Params(Strict):
     score: ScoreParams
     report: ReportParams
     policy: PolicyParams
+    twin: TwinParams
     track: TrackParams
     diagnose: DiagnoseParams
 
@@ -156,70 +158,6 @@ class Params(Strict):
         if name not in self.recordings:
             raise names.no_source(name, self.recordings)
         return self.recordings[name]
-
-
-class ArmParams(Strict):
-    """What the suite of arms holds."""
-
-    nulls: Cases = Field(description="Cases without an effect.")
-    repeats: Cases = Field(description="Cases of every cause.")
-    causes: list[str] = Field(description="By what a person would say; empty: all there are.")
-    parts: Parts = Field(description="Stratified samples that the suite is dealt out into.")
-    sessions: SessionFiles = Field(description="Sessions of a case, which are files from a to z.")
-    rows: SessionRows = Field(description="Rows of a session, 50 a second.")
-
-
-class TiesParams(Strict):
-    of: Literal["development", "examination"] = Field(description="The examined suite whose ties are settled.")
-    repeats: SessionFiles = Field(description="Sessions of each experiment, from different places.")
-
-
-class ConcealParams(Strict):
-    """What a suite holds; counts of cases, strengths in nats."""
-
-    seed: Seed = Field(description="Seed of the development suite; an examination's comes from the diagnosing code.")
-    round: Cases = Field(description="Which examination of the same code.")
-    nulls: Cases = Field(description="Cases without an effect.")
-    effects: list[str] = Field(description="Ids of single effects; empty: all there are.")
-    strengths: list[Strength] = Field(max_length=MOST_VALUES, description="A case of every effect at each.")
-    duel_strengths: list[Strength] = Field(
-        max_length=MOST_VALUES, description="A case of both sides of every pair that is easily confused."
-    )
-    pairs: Cases = Field(description="Cases of two effects.")
-    triples: Cases = Field(description="Cases of three effects.")
-    regimes: Cases = Field(description="Effects that act in a regime only.")
-    onsets: Cases = Field(description="Effects that act from a time on only.")
-    outside_strengths: list[Strength] = Field(
-        max_length=MOST_VALUES, description="A case of every law outside the vocabulary at each."
-    )
-    parts: Parts = Field(description="Stratified samples that the suite is dealt out into.")
-    few: Share = Field(description="Of all cases: few data.")
-    poor: Share = Field(description="Of all cases: poor excitation.")
-    glitches: Share = Field(description="Of all cases: glitches in what is measured.")
-    real: FolderParams = Field(description="Recordings of a real Spot, for the suite of that name.")
-    arm: ArmParams = Field(description="The suite of that name.")
-    ties: TiesParams = Field(description="The suite of that name.")
-
-
-class ExamineParams(Strict):
-    parts: list[Part] = Field(max_length=MOST_VALUES, description="Parts of the suite to be diagnosed; empty: all.")
-    workers: Workers = Field(description="Processes that diagnose.")
-    seed: Seed = Field(description="Seed of what the diagnosis draws.")
-    patience_s: Patience = Field(description="Time after which a diagnosis is given up [s].")
-
-
-class SealedScoreParams(Strict):
-    seed: Seed = Field(description="Seed of bootstrap intervals.")
-    figure_dpi: Dpi = Field(description="Dots per inch.")
-    pictures: Cases = Field(description="Failures of an examination that are drawn.")
-
-
-class SealedParams(Strict):
-    """The whole of pipelines/sealed/params.yaml."""
-
-    conceal: ConcealParams
-    examine: ExamineParams
-    score: SealedScoreParams
 
 
 def _merge(base: Any, overrides: Any) -> Any:
@@ -231,11 +169,6 @@ def _merge(base: Any, overrides: Any) -> Any:
 def load_params(path: Path, *overrides: Mapping[str, Any]) -> Params:
     """`path` with `overrides` merged in, block by block; ConfigError names every key that is wrong."""
     return read(path, Params, overrides)
-
-
-def load_sealed(path: Path, *overrides: Mapping[str, Any]) -> SealedParams:
-    """The same of the sealed suites' file."""
-    return read(path, SealedParams, overrides)
 
 
 def read(path: Path, model: type[_Model], overrides: Sequence[Mapping[str, Any]]) -> _Model:

@@ -7,7 +7,8 @@ from typing import Any
 
 from simgap.formats.documents import read_bytes
 from simgap.formats.yaml_files import read_yaml
-from tasks.params import Params, SealedParams
+from tasks.params import Params
+from tasks.params_sealed import SealedParams
 from tasks.ranges import RANGES
 
 FILES = {"params.yaml": Params, "pipelines/sealed/params.yaml": SealedParams}

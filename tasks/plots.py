@@ -1,7 +1,7 @@
 """The one door to matplotlib: figures as files."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ STYLE = {
     "sim_fsvgd_diagnosed": ("#3f95e0", "o", "--"),
     "residual_diagnosed": ("#2a8a4a", "D", "--"),
 }
+_LINES = (("#2a8a4a", "-"), ("#2a8a4a", "--"), ("#7f7f7f", "-"), ("#d1722d", "-"))
 _JITTER = 0.012  # of the N range, so that models' points do not hide each other
 
 
@@ -57,6 +58,26 @@ def against_n(
         fontsize="small",
     )
     figure.suptitle(title, fontweight="bold")
+    save(figure, path, dpi)
+
+
+def against_rows(
+    path: Path,
+    rows: Sequence[int],
+    curves: Mapping[str, Mapping[str, Sequence[float]]],
+    bodies: Mapping[str, str],
+    dpi: int,
+) -> None:
+    """A panel per body: mean distance [m] from what was measured against the rows predicted, a line per curve."""
+    figure, axes = plt.subplots(1, len(bodies), figsize=(4.6 * len(bodies), 3.8), sharey=True, layout="constrained")
+    for ax, (body, name) in zip(axes, bodies.items(), strict=True):
+        for (label, curve), (colour, line) in zip(curves.items(), _LINES, strict=True):
+            ax.plot(rows, curve[body], line, color=colour, marker=".", label=label)
+        ax.set(xlabel="rows predicted", title=name)
+        ax.grid(alpha=0.25)
+    axes[0].set_ylabel("mean distance from measured [m]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    figure.suptitle("Sessions that were held out", fontweight="bold")
     save(figure, path, dpi)
 
 

@@ -100,6 +100,10 @@ RANGES: Mapping[str, Mapping[str, Any]] = {
     "heldout_share": {**_BETWEEN, "description": "Of the N, in whole sessions, to choose by."},
     "paces": {"gt": 0, "le": 100, "description": "Steps a row of a long prediction lasts, to choose from."},
     "horizon": {"ge": 1, "le": 100_000, "description": "Rows of a long prediction."},
+    # twin.config.Config
+    "stride": {"ge": 1, "le": 100_000, "description": "Rows between starts of windows."},
+    "folds": {"ge": 2, "le": 1000, "description": "Of the sessions, each held out once."},
+    "replays": {"ge": 1, "le": 10_000, "description": "Runs with recorded departures, from every start."},
     # environment.Config and its reward
     "command_limit": {"gt": 0, "le": 100},
     "start_motion": {"ge": 0, "le": 1},

@@ -11,6 +11,9 @@ from simgap.types import Recording, RecordingError
 from tasks.params import FolderParams, VirtualParams
 from tasks.workspace import SPLITS, Workspace
 
+FURTHER = "further"
+"""Folder of the sessions that neither train nor test: those of one axis at a time, for a twin."""
+
 
 @task(task_run_name="record-virtual-{workspace.source}")
 def record_virtual(workspace: Workspace, params: VirtualParams) -> dict[str, int]:
@@ -35,8 +38,10 @@ def import_folder(workspace: Workspace, params: FolderParams, time_step: float) 
     """
     sessions: dict[str, list[Recording]] = {}
     errors: list[RecordingError] = []
-    for split, patterns in zip(SPLITS, (params.training, params.test), strict=True):
-        sessions[split], bad = read_recordings(params.folder, SCHEMA, time_step, patterns)
+    wanted = dict(zip(SPLITS, (params.training, params.test), strict=True))
+    wanted |= {FURTHER: params.further} if params.further else {}
+    for part, patterns in wanted.items():
+        sessions[part], bad = read_recordings(params.folder, SCHEMA, time_step, patterns)
         errors += bad
     both = {r.name for r in sessions["training"]} & {r.name for r in sessions["test"]}
     if both:

@@ -13,9 +13,11 @@ from simgap.formats.arrays import save_arrays
 from simgap.formats.documents import read_json
 from simgap.policies import follow, references
 from simgap.policies.proportional import Proportional
+from simgap.robots.twin.robot import TwinRobot
 from simgap.robots.virtual_robot import VirtualRobot
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.types import Policy, Robot, SimgapError
+from tasks.files.twins import load_twin
 from tasks.params import TrackParams
 from tasks.track_report import Row, is_learnt, path_of
 from tasks.tracking.runs import Run, latest_run
@@ -35,9 +37,15 @@ def shapes(params: TrackParams, time_step: float) -> dict[str, Float[np.ndarray,
     }
 
 
-def robot(params: TrackParams) -> Robot:
-    """The virtual Spot; what takes its place for a real one has the same four verbs."""
-    return VirtualRobot(jax.random.key(params.seed), VirtualSpotConfig(), params.robot_limit)
+def robot(workspace: Workspace, recorded: bool, params: TrackParams) -> Robot:
+    """What the sessions come from: the virtual Spot, or the twin of a recorded one.
+
+    A real robot that takes its place has the same four verbs. SimgapError where there is no twin yet.
+    """
+    key = jax.random.key(params.seed)
+    if recorded:
+        return TwinRobot(key, load_twin(workspace.twin), params.robot_limit)
+    return VirtualRobot(key, VirtualSpotConfig(), params.robot_limit)
 
 
 def controllers(params: TrackParams) -> dict[str, Proportional]:
@@ -51,14 +59,16 @@ def controllers(params: TrackParams) -> dict[str, Proportional]:
 
 @task(task_run_name="track-{name}")
 def run(
-    workspace: Workspace, name: str, policy: Policy, about: Row, params: TrackParams
+    workspace: Workspace, name: str, policy: Policy, about: Row, machine: Robot, params: TrackParams
 ) -> tuple[list[Row], dict[str, follow.Run]]:
-    """A policy along every reference: a row each, which begins with what is known `about` the policy, and the runs.
+    """A policy on `machine` along every reference: a row each, which begins with what is known `about` the policy, and
+    the runs.
 
     A row tells the mean error [m], the share of the reference that was run, and what the hand was on course for where
     the run was stopped. What was done is written.
     """
-    machine, rows, runs = robot(params), [], {}
+    rows: list[Row] = []
+    runs: dict[str, follow.Run] = {}
     for shape, reference in shapes(params, machine.time_step).items():
         done = runs[shape] = follow.follow(machine, policy, reference, params.bounds)
         result = {"mean_error": follow.mean_error(done), "completed": len(done.states) / len(reference)}

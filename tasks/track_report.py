@@ -13,6 +13,8 @@ from tasks import track_plots as plots
 from tasks.params import PolicyParams
 from tasks.plots import LABELS
 from tasks.report import compare
+from tasks.twin import UNKNOWN
+from tasks.twin_report import METRICS
 from tasks.workspace import Cell, Workspace
 
 Row = dict[str, Any]
@@ -44,6 +46,20 @@ def write(
     plots.animate(folder / "helix.gif", runs["helix", best["policy"], best["sample_size"], best["seed"]], title)
     write_text(folder / "report.md", _markdown(workspace.source, rows, summary, notes))
     return summary
+
+
+def on(workspace: Workspace, recorded: bool) -> str:
+    """What the policies ran on, and how well it stands in for the robot."""
+    if not recorded:
+        return "The robot is the virtual Spot that the recordings come from."
+    error = read_json(workspace.twin_report / METRICS)[UNKNOWN]
+    name = max((n for n in error if n.startswith("rollout_ee_")), key=lambda n: int(n.rsplit("_", 1)[1]))
+    return (
+        f"The robot is the [twin](../twin/report.md) of the recorded one. Its own prediction of the hand is off by "
+        f"{error[name]:.2f} m after {name.rsplit('_', 1)[1]} rows on sessions that were held out, without feedback; a "
+        "policy sees the twin's state at every row. Differences between models count here as far as the twin shares "
+        "the robot's physics: delays, lags, limits and stalls as they were recorded, no contact."
+    )
 
 
 def notes(workspace: Workspace, cells: Sequence[Cell], params: PolicyParams) -> list[str]:
@@ -169,7 +185,7 @@ def _metrics(summary: Sequence[Row]) -> dict[str, Any]:
 
 
 def _markdown(source: str, rows: Sequence[Row], summary: Sequence[Row], notes: Sequence[str]) -> str:
-    lines = [f"# Shape tracking on the virtual Spot, policies learnt from recordings: {source}", "", *notes, ""]
+    lines = [f"# Shape tracking: {source}", "", *notes, ""]
     lines += [
         "Mean distance between hand and goal [m], over the rows that were run, mean ± standard deviation over seeds. A "
         "run that is on course for a collision is stopped early: its error is that of its truncated part, and it is "
@@ -178,8 +194,6 @@ def _markdown(source: str, rows: Sequence[Row], summary: Sequence[Row], notes: S
         "![Tracking error against N](error_against_n.png)",
         "",
     ]
-    if source != "virtual":
-        lines += ["These policies were learnt from another robot than the one they are run on.", ""]
     for shape in SHAPES:
         lines += [f"## {shape.capitalize()}", ""]
         answers = claims(rows, shape)

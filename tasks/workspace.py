@@ -105,6 +105,20 @@ class Workspace:
         return self.results / "tracks" / self.source
 
     @property
+    def twins(self) -> Path:
+        return self.results / "twins" / self.source
+
+    @property
+    def twin(self) -> Path:
+        """The robot that stands in for the recorded one."""
+        return self.twins / "twin.npz"
+
+    @property
+    def twin_record(self) -> Path:
+        """What is known of it: fingerprint, effects, seconds."""
+        return self.twins / "twin.json"
+
+    @property
     def scores(self) -> Path:
         return self.results / "scores" / self.source
 
@@ -115,6 +129,10 @@ class Workspace:
     @property
     def tracking(self) -> Path:
         return self.reports / "tracking"
+
+    @property
+    def twin_report(self) -> Path:
+        return self.reports / "twin"
 
     @property
     def diagnosis(self) -> Path:
@@ -134,6 +152,10 @@ class Workspace:
     def effects(self, share: Share) -> Path:
         """What is known of that diagnosis: fingerprint, effects, seconds."""
         return self.models / f"{share.name}.json"
+
+    def twin_fold(self, fold: int) -> Path:
+        """Scores of a twin that was not given a fold of the sessions, on these."""
+        return self.twins / f"fold-{fold}.json"
 
     def policy(self, cell: Cell) -> Path:
         """The policy learnt in the cell's model."""

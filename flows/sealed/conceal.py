@@ -11,7 +11,7 @@ from pathlib import Path
 from flows.flow import flow
 from simgap.cli import progress
 from tasks import fingerprint
-from tasks.params import SealedParams
+from tasks.params_sealed import SealedParams
 from tasks.sealed import conceal
 from tasks.sealed.workspace import SealedWorkspace
 

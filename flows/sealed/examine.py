@@ -16,7 +16,7 @@ from simgap.cli import progress
 from simgap.formats.documents import read_json
 from simgap.types import SimgapError
 from tasks import fingerprint
-from tasks.params import SealedParams
+from tasks.params_sealed import SealedParams
 from tasks.sealed import examine
 from tasks.sealed.workspace import SealedWorkspace
 

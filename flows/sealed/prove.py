@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flows.flow import flow
 from flows.sealed import conceal, examine, score
-from tasks.params import SealedParams
+from tasks.params_sealed import SealedParams
 
 
 @flow(name="prove", flow_run_name="prove-{suite}")

@@ -28,7 +28,7 @@ def main(stage: str, description: str | None) -> NoReturn:
         check_files(PARAMS, *arguments.overrides)
         from simgap.formats.atomic import remove_unfinished
         from tasks import fingerprint
-        from tasks.params import load_sealed
+        from tasks.params_sealed import load_sealed
 
         params = load_sealed(PARAMS, *read_overrides(arguments))
         workspace = SealedWorkspace(arguments.workspace, arguments.suite)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array
@@ -30,12 +31,7 @@ def save_model(path: Path, model: Model) -> None:
         arrays = {"params": model.params, "scale": model.scale, "dof": model.dof,
                   **augmented_arrays(_augmented_spot(model.simulator))}  # fmt: skip
     elif isinstance(model, ResidualModel):
-        own = {field.name: getattr(model, field.name) for field in fields(model)}
-        arrays = {
-            **_layer_arrays(own.pop("particles")),
-            **augmented_arrays(_augmented_spot(own.pop("simulator"))),
-            **own,
-        }
+        arrays = residual_arrays(model)
     else:
         arrays = model._asdict()
     kind = type(model).__name__
@@ -52,7 +48,7 @@ def load_model(path: Path) -> Model:
         if kind == FittedSimulator.__name__:
             return FittedSimulator(augmented_spot(arrays), **arrays)  # type: ignore[arg-type]  # as above
         if kind == ResidualModel.__name__:
-            return ResidualModel(augmented_spot(arrays), particles=_pop_layers(arrays), **arrays)  # type: ignore[arg-type]
+            return residual_model(arrays)
         if kind == BNN.__name__:
             return _bnn(arrays)
     except (KeyError, TypeError, ValueError) as error:
@@ -64,6 +60,18 @@ def load_model(path: Path) -> Model:
         f"{FittedSpot.__name__}, {FittedSimulator.__name__} or {ResidualModel.__name__}. "
         "Give a file of the stage `train`."
     )
+
+
+def residual_arrays(model: ResidualModel) -> dict[str, Any]:
+    """Its arrays by name, those of its simulator and of its layers among them."""
+    own = {field.name: getattr(model, field.name) for field in fields(model)}
+    layers, simulator = own.pop("particles"), own.pop("simulator")
+    return {**_layer_arrays(layers), **augmented_arrays(_augmented_spot(simulator)), **own}
+
+
+def residual_model(arrays: dict[str, np.ndarray]) -> ResidualModel:
+    """Takes all of the arrays; KeyError or TypeError when one is missing or left over."""
+    return ResidualModel(augmented_spot(arrays), particles=_pop_layers(arrays), **arrays)  # type: ignore[arg-type]
 
 
 def _bnn(arrays: dict[str, np.ndarray]) -> BNN:

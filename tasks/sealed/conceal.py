@@ -17,7 +17,8 @@ from simgap.formats.folders import remove_file, remove_folder
 from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
-from tasks.params import ArmParams, ConcealParams, FolderParams, TiesParams
+from tasks.params import FolderParams
+from tasks.params_sealed import ArmParams, ConcealParams, TiesParams
 from tasks.sealed.ties import ties
 from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 

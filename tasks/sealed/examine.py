@@ -16,7 +16,7 @@ from simgap.formats.documents import read_json, write_json
 from simgap.formats.folders import remove_folder
 from simgap.types import Report, SimgapError
 from tasks.files.digests import digest_of
-from tasks.params import ExamineParams
+from tasks.params_sealed import ExamineParams
 from tasks.sealed.workspace import SealedWorkspace
 
 Job = Callable[[str, int], AbstractContextManager[Report]]

@@ -16,7 +16,7 @@ from simgap.formats.atomic import replacing_folder
 from simgap.formats.documents import read_json, write_json, write_table, write_text
 from simgap.formats.folders import remove_folder
 from simgap.types import SimgapError
-from tasks.params import SealedScoreParams
+from tasks.params_sealed import SealedScoreParams
 from tasks.sealed import baselines, figures, history, metrics, report
 from tasks.sealed.examine import code_of
 from tasks.sealed.judge import Row, invented_friction, judge, moved, overlap, rows_of

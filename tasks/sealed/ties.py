@@ -11,7 +11,7 @@ from concealed import sessions
 from concealed.experiment import experiment
 from simgap.formats import statements
 from simgap.types import SimgapError
-from tasks.params import TiesParams
+from tasks.params_sealed import TiesParams
 from tasks.sealed.judge import MANY, ONE
 from tasks.sealed.keys import opened
 from tasks.sealed.workspace import PRESCRIBED, RECORDED, SealedWorkspace

@@ -87,7 +87,8 @@ def stage_names(path: Path) -> list[str]:
 
 
 def test_a_stage_has_one_name_everywhere() -> None:
-    stages = stage_names(ROOT / "dvc.yaml")
+    stages = stage_names(ROOT / "pipelines" / "spot" / "dvc.yaml")
+    assert [stage for stage in stages if stage != "twin"] == stage_names(ROOT / "dvc.yaml")
     assert list(yaml.safe_load((ROOT / "params.yaml").read_text())) == stages
     for stage in stages:
         assert (ROOT / "flows" / f"{stage}.py").exists()
@@ -123,7 +124,8 @@ def test_what_conceals_imports_nothing_of_the_project() -> None:
 
 
 def test_both_pipelines_are_the_same_but_for_the_source() -> None:
-    """pipelines/spot/dvc.yaml is dvc.yaml with another source, run from the project's root."""
+    """pipelines/spot/dvc.yaml is dvc.yaml with another source, run from the project's root: its policies are learnt in
+    fewer steps, and run on a twin of the recorded robot."""
     ours, spots = (yaml.safe_load((ROOT / p).read_text()) for p in ("dvc.yaml", "pipelines/spot/dvc.yaml"))
     assert (ours.pop("vars"), spots.pop("vars")) == ([{"source": "virtual"}], [{"source": "spot"}])
     for stage in spots["stages"].values():
@@ -134,6 +136,14 @@ def test_both_pipelines_are_the_same_but_for_the_source() -> None:
                                          (spots, "data/external/spot", "recordings.spot")):  # fmt: skip
         pipeline["stages"]["recordings"]["deps"].remove(own_dep)
         pipeline["stages"]["recordings"]["params"].remove(own_param)
+    fewer = "pipelines/spot/policies.yaml"
+    track, policy, twin = spots["stages"]["track"], spots["stages"]["policy"], spots["stages"].pop("twin")
+    for out in twin["outs"]:
+        track["deps"].remove(next(iter(out)))
+    for stage in (policy, track):
+        stage["cmd"] = stage["cmd"].removesuffix(f" --overrides {fewer}")
+        stage["params"].remove({fewer: None})
+    track["desc"] = ours["stages"]["track"]["desc"]
     assert ours == spots
 
 
@@ -155,6 +165,17 @@ def test_the_policies_depend_on_the_code_they_run() -> None:
     for path in modules_of(POLICY):
         relative = str(path.relative_to(ROOT))
         if relative != "simgap/policies/__init__.py":
+            assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
+
+
+def test_the_twin_depends_on_the_code_it_runs() -> None:
+    """Every module of simgap that fitting, judging and comparing a twin imports is a dependency of the DVC stage."""
+    deps = yaml.safe_load((ROOT / "pipelines" / "spot" / "dvc.yaml").read_text())["stages"]["twin"]["deps"]
+    from tasks.fingerprint import TRAINING, TWIN, modules_of
+
+    for path in modules_of((*TRAINING, *TWIN)):
+        relative = str(path.relative_to(ROOT))
+        if relative not in ("simgap/policies/__init__.py", "simgap/robots/__init__.py"):
             assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
 
 

@@ -116,7 +116,7 @@ def test_the_real_spots_pipeline_is_complete(run: Callable[..., str]) -> None:
     stages = run("dvc", "stage", "list", "pipelines/spot/dvc.yaml")
     assert [line.split()[0] for line in stages.splitlines()] == [
         f"pipelines/spot/dvc.yaml:{stage}"
-        for stage in ("recordings", "transitions", "train", "score", "report", "policy", "track", "diagnose")
+        for stage in ("recordings", "transitions", "train", "score", "report", "policy", "twin", "track", "diagnose")
     ]
 
 

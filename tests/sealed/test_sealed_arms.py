@@ -11,7 +11,7 @@ from flows.sealed import conceal, examine, score
 from simgap.formats.documents import read_json, write_json
 from simgap.types import SimgapError
 from tasks import fingerprint
-from tasks.params import SealedParams, load_sealed
+from tasks.params_sealed import SealedParams, load_sealed
 from tasks.sealed.examine import fingerprint as mark_of
 from tasks.sealed.workspace import MODEL, SealedWorkspace
 

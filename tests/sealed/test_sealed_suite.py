@@ -18,7 +18,7 @@ from flows.sealed import conceal, examine, score
 from simgap.formats.atomic import remove_unfinished
 from simgap.formats.documents import read_json, write_json, write_text
 from simgap.types import SimgapError
-from tasks.params import SealedParams, load_sealed
+from tasks.params_sealed import SealedParams, load_sealed
 from tasks.sealed import baselines, metrics
 from tasks.sealed.conceal import seed_of
 from tasks.sealed.examine import fingerprint, remove_stale

@@ -13,7 +13,7 @@ from flows.sealed import conceal, examine
 from flows.sealed.examiner import recordings_of
 from simgap.formats.documents import read_json, write_json, write_text
 from simgap.types import SimgapError
-from tasks.params import SealedParams, load_sealed
+from tasks.params_sealed import SealedParams, load_sealed
 from tasks.sealed import score
 from tasks.sealed.judge import judge
 from tasks.sealed.keys import opened

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from simgap.formats.validation import check
 from simgap.types import ConfigError
 from tasks import forms, params
-from tasks.params import load_params, load_sealed
+from tasks.params import load_params
+from tasks.params_sealed import load_sealed
 from tasks.ranges import RANGES
 
 ROOT = Path(__file__).parents[2]
