@@ -13,8 +13,9 @@ from simgap.engines import Engine
 from simgap.formats import peek
 from simgap.formats.diagnoses import MODEL, read_simulator, read_statement
 from simgap.formats.peek import Look, Seen
-from simgap.formats.purposes import Given, arranged, in_folder, together
+from simgap.formats.purposes import Given, Purposes, in_folder, together
 from simgap.formats.recordings import checked
+from simgap.loading.arrange import arranged
 from simgap.loading.checks import check
 from simgap.loading.load import Used, prepared, started
 from simgap.loading.load import load as load_simulator
@@ -58,8 +59,8 @@ def diagnose(
     used = _used(simulator, list(sources.values()))
     errors: list[str] = []
     given = {purpose: _given(purpose, source, used.simulator, errors) for purpose, source in sources.items()}
-    sessions = arranged(used.simulator.schema, given["recordings"], given.get("heldout"), given.get("baseline"))
     report = progress or (lambda _: None)
+    used, sessions = arranged(used, Purposes(**given), report)
     used = started(used, sessions, report)
     diagnosis = find(used.simulator, used.name, sessions, seed, report)
     return Result.of(used, sessions, diagnosis, errors)

@@ -147,10 +147,7 @@ def _of_velocities(found: Survey) -> Iterator[str]:
             yield (f"{name} does not match the change of {k.position} (correlation {k.correlation:.2f}). Check "
                    "frames (world or body), topic and clocks.")  # fmt: skip
         elif not 0.8 < k.slope < 1.25:
-            yield (
-                f"{k.position} changes {k.slope:.3g} times as fast as {name} says. Check units, signs, time stamps "
-                "and rate."
-            )
+            yield survey.sentence(name, k)
     yield from (sentence(d) for d in found.derived)
 
 

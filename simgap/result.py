@@ -74,6 +74,7 @@ class Result:
         engine, file = cast(Any, used.simulator), f"{Path(used.name).stem}{diagnoses.PATCHED}"
         statement = found.statement | {"model_file": used.model_file}
         statement = account.account(engine, found.model, statement, file, sessions.fitted)
+        statement["notes"] = [*used.left_out, *statement["notes"]]
         return Result(engine, found._replace(statement=statement), tuple(left_out))
 
     @property

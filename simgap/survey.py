@@ -17,6 +17,9 @@ JUMP = 12.0
 """Times the largest usual change of a row (its 99 % quantile) from which on a change is a jump."""
 MOVED = 0.01
 """Share of a command's greatest size that counts as moving."""
+ALIKE, OFF = 0.9, 1.5
+"""From this correlation on, a velocity has the form of its position's rate of change; a factor beyond this between the
+two is then one of units or signs, and not a sensor that is badly calibrated."""
 
 
 class Rate(NamedTuple):
@@ -56,6 +59,11 @@ class Kinematics(NamedTuple):
     position: str
     slope: float
     correlation: float
+
+    @property
+    def in_other_units(self) -> bool:
+        """Whether the two differ by their units or signs, so that a diagnosis would find these and not the physics."""
+        return abs(self.correlation) > ALIKE and not 1 / OFF < self.slope < OFF
 
 
 class Excitation(NamedTuple):
@@ -120,6 +128,20 @@ def kinematics(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Kin
             correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
             found[velocity.name] = Kinematics(schema.state[j].name, float(x @ y / (x @ x)), correlation)
     return found
+
+
+def sentence(velocity: str, found: Kinematics) -> str:
+    """How a velocity differs from the rate of its position, and what to do."""
+    remedy = (
+        "One of the two has other units or another sign, which a diagnosis would find instead of the physics. Give "
+        "`unit` or `sign` in the mapping (`simgap import`)."
+        if found.in_other_units
+        else "Check units, signs, time stamps and rate."
+    )
+    return (
+        f"{found.position} changes {found.slope:.3g} times as fast as {velocity} says (correlation "
+        f"{found.correlation:.2f}). {remedy}"
+    )
 
 
 def excitation(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Excitation]:

@@ -22,8 +22,12 @@ from tasks.tracking.runs import Run
 
 @task(task_run_name="read-{folders.recordings.name}")
 def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, list[str]]:
-    """The sessions by their purpose, and what was wrong with those left out; errors as `purposes.read` has them."""
-    return purposes.read(folders, simulator)
+    """The sessions by their purpose, and what was wrong with those left out.
+
+    Raises RecordingError as `purposes.read` and `purposes.arranged` do.
+    """
+    given, errors = purposes.read(folders, simulator)
+    return purposes.arranged(simulator.schema, given), errors
 
 
 @task(task_run_name="diagnose-{name}")

@@ -11,6 +11,7 @@ from simgap.formats import diagnoses, peek, purposes
 from simgap.formats.documents import as_json
 from simgap.formats.folders import make_folder
 from simgap.formats.purposes import Folders
+from simgap.loading.arrange import arranged
 from simgap.loading.load import prepared, started
 from simgap.loading.model_files import ModelFile
 from simgap.result import Result
@@ -20,12 +21,11 @@ from simgap.types import Sessions
 def diagnose_folder(folders: Folders, simulator: str | ModelFile, out: Path, seed: int, json: bool) -> None:
     """Diagnose, write to `out`, and print the statement and where the page is; or the statement as JSON."""
     used = prepared(simulator, lambda: peek.in_folders(folders.every))
-    for note in used.notes:
-        progress.say(f"note: {note}")
-    sessions, errors = purposes.read(folders, used.simulator)
+    given, errors = purposes.read(folders, used.simulator)
+    used, sessions = arranged(used, given, say_note)
     label = " and ".join(folder.resolve().name for folder in (folders.recordings, *folders.further))
     say_what_is_read(used.name, label, sessions, errors)
-    used = started(used, sessions, lambda words: progress.say(f"note: {words}"))
+    used = started(used, sessions, say_note)
     make_folder(out)  # before the work, not after it
     with alone(out):
         start = time.perf_counter()
@@ -37,6 +37,11 @@ def diagnose_folder(folders: Folders, simulator: str | ModelFile, out: Path, see
     progress.say(f"\n{summary(result.statement, out, seconds)}")
     if json:
         print(as_json(result.statement))
+
+
+def say_note(note: str) -> None:
+    """What of a model file cannot be diagnosed, or is not as it was given."""
+    progress.say(f"note: {note}")
 
 
 def say_what_is_read(simulator: str, recordings: str, sessions: Sessions, errors: Sequence[str]) -> None:

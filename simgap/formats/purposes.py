@@ -4,16 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from simgap import survey
 from simgap.derived import derived, sentence
 from simgap.diagnosis.inference.explain import split
 from simgap.engines import Engine
 from simgap.formats.recordings import digest, read_recordings
-from simgap.survey import kinematics
 from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
-
-ALIKE, OFF = 0.9, 1.5
-"""From this correlation on, a velocity has the form of its position's rate of change; a factor beyond this between the
-two is then one of units or signs, and not a sensor that is badly calibrated."""
 
 
 class Folders(NamedTuple):
@@ -39,15 +35,37 @@ class Given(NamedTuple):
     label: str
 
 
-def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, list[str]]:
-    """The sessions by purpose, and why others are left out. Without a held-out folder, some sessions are held out.
+class Purposes(NamedTuple):
+    """What is given for a diagnosis: sessions to diagnose, and held-out ones and a baseline if there are any."""
 
-    Raises RecordingError as `arranged` does, and where a folder has no usable session.
-    """
+    recordings: Given
+    heldout: Given | None = None
+    baseline: Given | None = None
+
+    @property
+    def every(self) -> list[Given]:
+        """What is given for each purpose."""
+        return [given for given in self if given]
+
+    def narrowed(self, old: Schema, new: Schema) -> "Purposes":
+        """The same sessions, of the columns of `old`, with those of `new` alone, which are some of them."""
+        states, commands = ([f.name for f in part] for part in (old.outputs, old.command))
+        state, command = [states.index(f.name) for f in new.outputs], [commands.index(f.name) for f in new.command]
+
+        def narrow(given: Given) -> Given:
+            return given._replace(
+                sessions=[r._replace(state=r.state[:, state], command=r.command[:, command]) for r in given.sessions]
+            )
+
+        return Purposes(narrow(self.recordings), *(given and narrow(given) for given in self[1:]))
+
+
+def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Purposes, list[str]]:
+    """The usable sessions by purpose, and why others are left out; RecordingError where a folder has none."""
     errors: list[str] = []
     recordings = together([in_folder(folder, simulator, errors) for folder in (folders.recordings, *folders.further)])
     others = (folder and in_folder(folder, simulator, errors) for folder in (folders.heldout, folders.baseline))
-    return arranged(simulator.schema, recordings, *others), errors
+    return Purposes(recordings, *others), errors
 
 
 def in_folder(folder: Path, simulator: StepModel | Engine, errors: list[str]) -> Given:
@@ -66,18 +84,19 @@ def together(several: Sequence[Given]) -> Given:
     return Given(sessions, ", ".join(given.place for given in several), first.label)
 
 
-def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline: Given | None) -> Sessions:
-    """Sessions by purpose. Without `heldout`, some of `recordings` are held out.
+def arranged(schema: Schema, given: Purposes) -> Sessions:
+    """Sessions that serve one purpose each. Without `heldout`, some of `recordings` are held out.
 
     Raises RecordingError where a velocity is a difference of its position or has other units, or a session serves two
     purposes.
     """
-    for given in filter(None, (recordings, heldout, baseline)):
+    for part in given.every:
         if wrong := [
-            *map(sentence, derived(schema.measured, given.sessions)),
-            *_in_other_units(schema, given.sessions),
+            *map(sentence, derived(schema.measured, part.sessions)),
+            *(survey.sentence(*found) for found in in_other_units(schema, part).items()),
         ]:
-            raise RecordingError("\n".join(f"{given.place}: column {why}" for why in wrong))
+            raise RecordingError("\n".join(f"{part.place}: column {why}" for why in wrong))
+    recordings, heldout, baseline = given
     if heldout:
         training, held_out = list(recordings.sessions), _apart(heldout, recordings.sessions)
     else:
@@ -85,16 +104,10 @@ def arranged(schema: Schema, recordings: Given, heldout: Given | None, baseline:
     return Sessions(training, held_out, _apart(baseline, [*training, *held_out]) if baseline else [])
 
 
-def _in_other_units(schema: Schema, sessions: Sequence[Recording]) -> list[str]:
-    """Why velocities cannot be the rates of their positions: a sentence for each."""
-    return [
-        f"{k.position} changes {k.slope:.3g} times as fast as {velocity} says (correlation {k.correlation:.2f}): one "
-        "of the two has other units or another sign, which the diagnosis would find instead of the physics. Give "
-        "`unit` or `sign` in the mapping (`simgap import`). Of a model file you may also remove both columns: the "
-        "diagnosis then leaves this joint out."
-        for velocity, k in kinematics(schema.measured, sessions).items()
-        if abs(k.correlation) > ALIKE and not 1 / OFF < k.slope < OFF
-    ]  # fmt: skip
+def in_other_units(schema: Schema, given: Given) -> dict[str, survey.Kinematics]:
+    """The velocities that cannot be the rates of their positions, by name."""
+    found = survey.kinematics(schema.measured, given.sessions)
+    return {velocity: kinematics for velocity, kinematics in found.items() if kinematics.in_other_units}
 
 
 def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:

@@ -20,16 +20,20 @@ from simgap.types import ConfigError, Sessions, StepModel
 
 
 class Used(NamedTuple):
-    """A simulator in use, its name, and the record of its model file, if it has one (see `recalled`)."""
+    """A simulator in use, its name, and the record of its model file, if it has one (see `recalled`).
+
+    left_out: why joints of the model file are left out although they are recorded, in words.
+    """
 
     simulator: StepModel | Engine
     name: str
     model_file: dict[str, Any] | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Parts of a model file that are left out or cannot be diagnosed, in words."""
-        return () if self.model_file is None else cast(Any, self.simulator).notes
+        return () if self.model_file is None else (*self.left_out, *cast(Any, self.simulator).notes)
 
 
 def prepared(simulator: str | ModelFile, see: Callable[[], Seen]) -> Used:
@@ -61,7 +65,7 @@ def started(used: Used, sessions: Sessions, say: Callable[[str], None]) -> Used:
     found = servo_errors.servo_errors(engine, engine.nominal, np.zeros(len(engine.terms)), sessions.fitted)
     if said := servo_errors.words(found, engine.time_step):
         say(said)
-    return Used(cast(Engine, engine), used.name, used.model_file | {"start": replays.start})
+    return used._replace(simulator=cast(Engine, engine), model_file=used.model_file | {"start": replays.start})
 
 
 def load(spec: str) -> StepModel | Engine:

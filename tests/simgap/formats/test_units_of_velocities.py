@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from simgap.formats.purposes import Given, arranged
+from simgap.findings import findings, look
+from simgap.formats.purposes import Given, Purposes, arranged
 from simgap.types import Field, Recording, RecordingError, Schema
 
 SCHEMA = Schema(
@@ -25,13 +26,17 @@ def sessions(factor: float, noise: float = 0.0) -> list[Recording]:
 
 @pytest.mark.parametrize(("factor", "says"), [(180 / np.pi, "0.017"), (-1.0, "-(1|0.99)"), (2.35, "0.42")])
 def test_other_units_or_signs_are_refused_with_a_remedy(factor: float, says: str) -> None:
-    with pytest.raises(RecordingError, match=rf"logs: column jaw_pos changes {says}\S* times as fast as jaw_vel says"):
-        arranged(SCHEMA, Given(sessions(factor), "logs", "logs"), None, None)
-    with pytest.raises(RecordingError, match="remove both columns"):
-        arranged(SCHEMA, Given(sessions(1.0), "logs", "logs"), None, Given(sessions(factor), "before", "before"))
+    wrong = Given(sessions(factor), "logs", "logs")
+    words = rf"logs: column jaw_pos changes {says}\S* times as fast as jaw_vel says .* Give `unit` or `sign`"
+    with pytest.raises(RecordingError, match=words) as error:
+        arranged(SCHEMA, Purposes(wrong))
+    (found,) = (line for line in findings(SCHEMA, 0.02, look(SCHEMA, wrong.sessions)) if "times as fast" in line)
+    assert str(error.value) == f"logs: column {found}"  # `simgap check` says the same
+    with pytest.raises(RecordingError, match="logs: column jaw_pos"):
+        arranged(SCHEMA, Purposes(Given(sessions(1.0), "now", "now"), baseline=wrong))
 
 
 @pytest.mark.parametrize(("factor", "noise"), [(1.0, 0.0), (0.8, 0.0), (1.3, 0.0), (3.0, 30.0)])
 def test_a_badly_calibrated_or_noisy_velocity_is_not(factor: float, noise: float) -> None:
-    found = arranged(SCHEMA, Given(sessions(factor, noise), "logs", "logs"), None, None)
+    found = arranged(SCHEMA, Purposes(Given(sessions(factor, noise), "logs", "logs")))
     assert len(found.training) + len(found.heldout) == 2

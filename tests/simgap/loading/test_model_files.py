@@ -20,6 +20,7 @@ from simgap.cli.importing import import_recordings
 from simgap.formats import peek, purposes
 from simgap.formats.purposes import Folders
 from simgap.formats.recordings import read_recordings
+from simgap.loading.arrange import arranged
 from simgap.loading.load import prepared, started
 from simgap.loading.model_files import ModelFile, recalled
 from simgap.types import ConfigError, RecordingError
@@ -45,9 +46,9 @@ def test_columns_and_interval_are_those_of_the_recordings(logs: Path) -> None:
     assert used.name == str(MODEL)
     assert used.simulator.time_step == 0.02
     assert [f.name for f in used.simulator.schema.state if not f.observed] == [f"{j}_vel" for j in JOINTS]
-    sessions, errors = purposes.read(Folders(logs), used.simulator)
+    given, errors = purposes.read(Folders(logs), used.simulator)
     assert errors == []
-    assert sessions.training[0].state.shape == (75, 3)
+    assert given.recordings.sessions[0].state.shape == (75, 3)
 
 
 def test_a_column_counts_that_most_files_have(logs: Path, tmp_path: Path) -> None:
@@ -59,8 +60,8 @@ def test_a_column_counts_that_most_files_have(logs: Path, tmp_path: Path) -> Non
     found = seen(tmp_path)
     assert {"pan_vel", "cmd_pan"} <= set(found.columns)
     used = prepared(ModelFile(MODEL), lambda: found)
-    sessions, errors = purposes.read(Folders(tmp_path), used.simulator)
-    assert len(sessions.fitted) + len(sessions.heldout) == 3
+    given, errors = purposes.read(Folders(tmp_path), used.simulator)
+    assert len(given.recordings.sessions) == 3
     assert any("short.csv: column pan_vel, cmd_pan is missing" in error for error in errors)
 
 
@@ -84,7 +85,7 @@ def stiff(tmp_path: Path) -> Path:
 def test_servos_that_are_wrong_by_far_are_rescaled_first(logs: Path, stiff: Path) -> None:
     said: list[str] = []
     used = prepared(ModelFile(stiff), lambda: seen(logs))
-    begun = started(used, purposes.read(Folders(logs), used.simulator)[0], said.append)
+    begun = started(*arranged(used, purposes.read(Folders(logs), used.simulator)[0], pytest.fail), said.append)
     assert [words[:56] for words in said] == [
         "The model's position servos are about 20 times too stiff",
         "At rest, servos sag under the weight that they hold: sho",
@@ -101,7 +102,7 @@ def test_servos_that_are_wrong_by_far_are_rescaled_first(logs: Path, stiff: Path
 
 def test_servos_that_are_about_right_stay(logs: Path) -> None:
     used = prepared(ModelFile(MODEL), lambda: seen(logs))
-    assert started(used, purposes.read(Folders(logs), used.simulator)[0], pytest.fail) is used
+    assert started(*arranged(used, purposes.read(Folders(logs), used.simulator)[0], pytest.fail), pytest.fail) is used
 
 
 def test_python_and_the_command_start_from_the_same_model(
