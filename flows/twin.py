@@ -27,16 +27,22 @@ def run(source: str, params: Params, root: Path) -> None:
         return
     workspace = Workspace(root, source)
     store, tags = provenance.store(EXPERIMENT), provenance.tags(workspace, workspace.recordings)
-    say = lambda line: progress.say(f"  {line}")  # noqa: E731
-    context = twin.Context(params, fingerprint.code_digest(fingerprint.TWIN), time.perf_counter, say)
-    recorded = twin.load(workspace, context.time_step)
-    folds = params.twin.fit.folds
+    code, diagnosis = map(fingerprint.code_digest, (fingerprint.TWIN, fingerprint.DIAGNOSIS))
+    context = twin.Context(params, code, diagnosis, time.perf_counter, lambda line: progress.say(f"  {line}"))
+    recorded, shares = twin.load(workspace, context.time_step), twin.shares(context.folds)
+    steps = params.twin.fit.training_steps
     with (
         grid_run(store, f"twin-{source}", params.twin.model_dump(), tags) as run,
-        progress.bars(f"twin of {source}", folds + 1, time.monotonic) as bars,
+        progress.bars(f"twin of {source}", len(shares), time.monotonic) as bars,
     ):
-        twin.fit_all(workspace, recorded, context, bars.job)
-        rows = [row for fold in range(folds) for row in twin.fold_scores(workspace, recorded, fold, context, bars.job)]
+        rows = []
+        for share in shares:
+            with bars.job(share.name, steps) as report:
+                twin.diagnose(workspace, share, recorded, context)
+                if share.held_out is None:
+                    twin.fit_all(workspace, recorded, context, report)
+                else:
+                    rows += twin.fold_scores(workspace, share, recorded, context, report)
         summary = twin_report.write(workspace, rows, params.report.figure_dpi)
         twin_report.log(run, workspace, summary)
     progress.say(f"report of the twin of {source}: {workspace.twin_report / 'report.md'}")

@@ -1,7 +1,7 @@
 """What a diagnosis finds in a share of the training sessions: the simulator of the models that are given it."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from prefect import task
@@ -17,10 +17,7 @@ from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import ConfigError, Recording, Sessions
 from tasks.cells import finished
 from tasks.fingerprint import of_diagnosis
-from tasks.workspace import Cell, Share, Workspace
-
-if TYPE_CHECKING:
-    from simgap.diagnosis.inference.explain import Explanation
+from tasks.workspace import Cell, Share, TwinShare, Workspace
 
 FITTED = 0.75
 """Share of the transitions that the effects are fitted to; the others judge, none of the test sessions does."""
@@ -74,6 +71,22 @@ def find(
     if errors:
         raise errors[0]
     used = sessions(recordings, share)
+    keep(workspace, share, used, (time_step, share.seed, code), report, clock)
+
+
+def keep(
+    workspace: Workspace,
+    share: Share | TwinShare,
+    used: Sessions,
+    how: tuple[float, int, str],
+    report: Callable[[str], None],
+    clock: Callable[[], float],
+) -> None:
+    """Diagnose the kinematic model with these sessions, unless that was done before, for `load` to read.
+
+    `how`: the time step [s], the seed, the digest of the diagnosis' code.
+    """
+    time_step, seed, code = how
     mark = of_diagnosis(share, digest([*used.training, *used.heldout]), time_step, code)
     arrays, record = workspace.augmented(share), workspace.effects(share)
     if finished(arrays, record, mark):
@@ -82,22 +95,15 @@ def find(
     # Should this fail, what was found by other code must not pass for its result.
     remove_file(record, workspace.root)
     start = clock()
-    simulator, found = diagnose(Spot(time_step=time_step), used, share.seed, report)
+    from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
+
+    found = explain(Spot(time_step=time_step), used, np.random.default_rng(seed), report)
+    simulator = AugmentedSimulator.of(Spot(time_step=time_step), found.acting(found.known()), found.problem.scales)
     save_arrays(arrays, augmented_arrays(simulator))
     write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),
                               "found": [m.hypothesis.name for m in found.members if found.names(m)],
                               "scattered": [s.id for s in found.noise_effects]})  # fmt: skip
-
-
-def diagnose(
-    spot: Spot, used: Sessions, seed: int, report: Callable[[str], None]
-) -> tuple[AugmentedSimulator, "Explanation"]:
-    """The kinematic model with what a diagnosis of these sessions finds, and the whole of what it finds."""
-    from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
-
-    found = explain(spot, used, np.random.default_rng(seed), report)
-    return AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales), found
 
 
 def seen(workspace: Workspace, share: Share, time_step: float) -> list[Recording]:
@@ -109,7 +115,7 @@ def seen(workspace: Workspace, share: Share, time_step: float) -> list[Recording
     return [*used.training, *used.heldout]
 
 
-def load(workspace: Workspace, share: Share) -> Found:
-    """What `find` found; SimgapError when it has not been run."""
+def load(workspace: Workspace, share: Share | TwinShare) -> Found:
+    """What `find` or `keep` found; SimgapError when it has not been run."""
     simulator = augmented_spot(load_arrays(workspace.augmented(share)))
     return Found(simulator, read_json(workspace.effects(share))["fingerprint"])

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import simgap
 from tasks.params import Params, PolicyParams, TrainParams
-from tasks.workspace import Cell, Share
+from tasks.workspace import Cell, Share, TwinShare
 
 TRAINING = ("simgap.learn",)
 """Where the code of training begins."""
@@ -21,8 +21,8 @@ RESIDUAL = (*AUGMENTED, "simgap.residual.learn")
 """The same where the residual is learnt."""
 DIAGNOSIS = ("simgap.diagnosis.inference.explain",)
 """Where the code that finds effects begins."""
-TWIN = ("simgap.robots.twin.score", "simgap.robots.twin.fit", "simgap.scores", "simgap.learn", *DIAGNOSIS)
-"""Where the code begins that makes a twin, and compares it with models."""
+TWIN = ("simgap.robots.twin.score", "simgap.robots.twin.fit", "simgap.simulators.augmented", "simgap.scores", *TRAINING)
+"""Where the code begins that makes a twin of a diagnosed simulator, and compares it with models."""
 WHOLE_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.simulators.spot")
 """Where the code that an examination examines begins."""
 MODEL_DIAGNOSIS = ("simgap.diagnosis.diagnose", "simgap.loading.model_files", "simgap.simulators.mujoco.account")
@@ -83,7 +83,7 @@ def configuration_of_diagnosis(simulator: str, folders: Sequence[Path | None], s
     return _mark({"simulator": simulator, "folders": [str(folder) for folder in folders], "seed": seed})
 
 
-def of_diagnosis(share: Share, data_digest: str, time_step: float, code: str) -> str:
+def of_diagnosis(share: Share | TwinShare, data_digest: str, time_step: float, code: str) -> str:
     """Identifies what the diagnosis of a share of the recordings depends on."""
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})
 
@@ -94,11 +94,12 @@ def of_policy(cell: Cell, model: str, data_digest: str, params: PolicyParams, co
     return _mark({"cell": cell, **relevant})
 
 
-def of_twin(data_digest: str, params: Params, code: str) -> str:
-    """Identifies what a twin and its scores depend on."""
-    relevant = {"twin": params.twin, "train": params.train, "score": params.score, "transitions": params.transitions}
-    dumped = {name: block.model_dump(mode="json") for name, block in relevant.items()}
-    return _mark({"data": data_digest, "params": dumped, "code": code})
+def of_twin(data_digest: str, params: Params, code: str, diagnosis: str) -> str:
+    """Identifies what a twin and its scores depend on; `diagnosis`: the fingerprint of that of its sessions."""
+    blocks = {"twin": params.twin, "score": params.score, "transitions": params.transitions}
+    models = {name: asdict(getattr(params.train, name)) for name in ("residual", "bnn", "sim_model", "fsvgd")}
+    relevant = {**{name: block.model_dump(mode="json") for name, block in blocks.items()}, **models}
+    return _mark({"data": data_digest, "params": relevant, "code": code, "diagnosis": diagnosis})
 
 
 def relevant_policy_params(params: PolicyParams) -> dict[str, Any]:

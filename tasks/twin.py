@@ -19,6 +19,7 @@ from simgap.recordings import to_transitions
 from simgap.robots.twin import score
 from simgap.robots.twin.fit import NOISE, fit
 from simgap.robots.twin.model import Twin
+from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
 from simgap.types import Recording, Report, Sessions
 from tasks import diagnosed
@@ -27,8 +28,7 @@ from tasks.files.twins import save_twin
 from tasks.fingerprint import of_twin
 from tasks.params import Params
 from tasks.recordings import FURTHER
-from tasks.train import Job
-from tasks.workspace import SPLITS, Workspace
+from tasks.workspace import SPLITS, TwinShare, Workspace
 
 Row = dict[str, Any]
 KNOWN, UNKNOWN, SIM_MODEL, BLACK_BOX = "twin, durations as recorded", "twin", "sim_model", "fsvgd"
@@ -44,6 +44,15 @@ class Recorded(NamedTuple):
     sessions: list[Recording]
     further: list[Recording]
 
+    def without(self, share: TwinShare, folds: int) -> "Recorded":
+        """But for those of the fold that is held out."""
+        kept = [r for i, r in enumerate(self.sessions) if i % folds != share.held_out]
+        return Recorded(kept, self.further)
+
+    def held_out(self, share: TwinShare, folds: int) -> list[Recording]:
+        """Those of the fold."""
+        return [r for i, r in enumerate(self.sessions) if i % folds == share.held_out]
+
     @property
     def every(self) -> list[Recording]:
         """All of them."""
@@ -51,10 +60,12 @@ class Recorded(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What all fits of a stage share: parameters, digest of the code, seconds, where lines go."""
+    """What all fits of a stage share: parameters, digests of the code of twins and of the diagnosis, seconds, where
+    lines go."""
 
     params: Params
     code: str
+    diagnosis: str
     clock: Callable[[], float]
     say: Callable[[str], None]
 
@@ -62,6 +73,21 @@ class Context(NamedTuple):
     def time_step(self) -> float:
         """Of the simulator [s]."""
         return 1 / self.params.transitions.nominal_rate_hz
+
+    @property
+    def folds(self) -> int:
+        """Of the cross-validation."""
+        return self.params.twin.fit.folds
+
+    def key(self, share: TwinShare) -> PRNGKeyArray:
+        """Of the fits and draws for these sessions."""
+        number = 0 if share.held_out is None else share.held_out + 1
+        return jax.random.fold_in(jax.random.key(self.params.twin.seed), number)
+
+
+def shares(folds: int) -> list[TwinShare]:
+    """All sessions; all but those of each fold."""
+    return [TwinShare(None), *map(TwinShare, range(folds))]
 
 
 @task(task_run_name="load-sessions-{workspace.source}")
@@ -78,66 +104,71 @@ def load(workspace: Workspace, time_step: float) -> Recorded:
     return Recorded([r for part in split_up for r in part], further)
 
 
-@task(task_run_name="twin-fold-{fold}")
-def fold_scores(workspace: Workspace, recorded: Recorded, fold: int, context: Context, job: Job) -> list[Row]:
-    """Scores of a twin, SIM-MODEL and a black box that were learnt without every so many-th session, on these.
+@task(task_run_name="twin-diagnosis-{share.name}")
+def diagnose(workspace: Workspace, share: TwinShare, recorded: Recorded, context: Context) -> None:
+    """What the kinematic model leaves out of these sessions, unless that was found before."""
+    used = Sessions(*split(recorded.without(share, context.folds).every))
+    how = (context.time_step, context.params.twin.seed, context.diagnosis)
+    diagnosed.keep(workspace, share, used, how, context.say, context.clock)
+
+
+@task(task_run_name="twin-{share.name}")
+def fold_scores(
+    workspace: Workspace, share: TwinShare, recorded: Recorded, context: Context, report: Report
+) -> list[Row]:
+    """Scores of a twin, SIM-MODEL and a black box that were learnt without a fold of the sessions, on these.
 
     A row for every way to predict; kept, and reused where data, parameters and code are the same.
     """
-    params = context.params.twin
-    count = params.fit.folds
-    held = [r for i, r in enumerate(recorded.sessions) if i % count == fold]
-    kept = [r for i, r in enumerate(recorded.sessions) if i % count != fold]
-    path = workspace.twin_fold(fold)
-    mark = of_twin(digest(recorded.every), context.params, f"{context.code} fold {fold}")
+    params, found = context.params, diagnosed.load(workspace, share)
+    path = workspace.twin_fold(share)
+    mark = of_twin(digest(recorded.every), params, context.code, found.fingerprint)
     if path.exists() and (known := read_json(path))["fingerprint"] == mark:
         return known["rows"]
-    key, black_key, replay_key = jax.random.split(jax.random.key(params.seed + fold + 1), 3)
-    with job(f"fold {fold + 1} of {count}", params.fit.training_steps) as report:
-        twin = _fit(key, kept, recorded.further, context, report)
-        others = _others(black_key, [*kept, *recorded.further], context)
-    stride, horizons = context.params.score.stride, _horizons(context.params)
+    kept, held = recorded.without(share, context.folds), recorded.held_out(share, context.folds)
+    key, black_key, replay_key = jax.random.split(context.key(share), 3)
+    twin = _fit(key, kept, found.simulator, context, report)
+    stride, horizons, own = params.score.stride, _horizons(params), params.twin.fit
     measured = {
         KNOWN: score.multi_step(twin, held, horizons, stride, known=True),
         UNKNOWN: score.multi_step(twin, held, horizons, stride, known=False)
-        | score.coverage(replay_key, twin, held, params.fit.horizon, params.fit.horizon // 2, params.fit.replays),
-        **{name: scores.multi_step(model, SCHEMA, held, horizons, stride) for name, model in others.items()},
-    }
-    effects = ", ".join(twin.model.simulator.effects)  # type: ignore[attr-defined]  # it is augmented
-    rows: list[Row] = [{"fold": fold, "model": name, "effects": effects if name in (KNOWN, UNKNOWN) else "", **found}
-                       for name, found in measured.items()]  # fmt: skip
+        | score.coverage(replay_key, twin, held, own.horizon, own.horizon // 2, own.replays),
+        **{name: scores.multi_step(model, SCHEMA, held, horizons, stride)
+           for name, model in _others(black_key, kept.every, context).items()},
+    }  # fmt: skip
+    effects = {name: ", ".join(found.simulator.effects) for name in (KNOWN, UNKNOWN)}
+    rows: list[Row] = [{"fold": share.held_out, "model": name, "effects": effects.get(name, ""), **numbers}
+                       for name, numbers in measured.items()]  # fmt: skip
     write_json(path, {"fingerprint": mark, "rows": rows})
     return rows
 
 
 @task(task_run_name="twin-{workspace.source}")
-def fit_all(workspace: Workspace, recorded: Recorded, context: Context, job: Job) -> None:
+def fit_all(workspace: Workspace, recorded: Recorded, context: Context, report: Report) -> None:
     """The twin of all sessions, unless it was fitted before."""
-    mark = of_twin(digest(recorded.every), context.params, context.code)
+    share = TwinShare(None)
+    found = diagnosed.load(workspace, share)
+    mark = of_twin(digest(recorded.every), context.params, context.code, found.fingerprint)
     path, record = workspace.twin, workspace.twin_record
-    with job("all sessions", context.params.twin.fit.training_steps) as report:
-        if finished(path, record, mark):
-            return
-        remove_file(record, workspace.root)
-        start = context.clock()
-        twin = _fit(jax.random.key(context.params.twin.seed), recorded.sessions, recorded.further, context, report)
-        save_twin(path, twin)
-        write_json(record, {
-            "fingerprint": mark, "seconds": context.clock() - start, "sessions": len(recorded.every),
-            "effects": list(twin.model.simulator.effects),  # type: ignore[attr-defined]  # it is augmented
-            "ages_s": np.asarray(twin.ages), "row_s": float(twin.row_s),
-            "stalls": float((twin.durations > STALL * jnp.median(twin.durations)).mean()),
-        })  # fmt: skip
+    if finished(path, record, mark):
+        return
+    remove_file(record, workspace.root)
+    start = context.clock()
+    twin = _fit(context.key(share), recorded, found.simulator, context, report)
+    save_twin(path, twin)
+    write_json(record, {
+        "fingerprint": mark, "seconds": context.clock() - start, "sessions": len(recorded.every),
+        "effects": list(found.simulator.effects), "ages_s": np.asarray(twin.ages), "row_s": float(twin.row_s),
+        "stalls": float((twin.durations > STALL * jnp.median(twin.durations)).mean()),
+    })  # fmt: skip
 
 
 def _fit(
-    key: PRNGKeyArray, sessions: Sequence[Recording], further: Sequence[Recording], context: Context, report: Report
+    key: PRNGKeyArray, recorded: Recorded, simulator: AugmentedSimulator, context: Context, report: Report
 ) -> Twin:
-    """Diagnosed from all of these sessions, fitted to them; departures of `further` are not replayed."""
-    every, params = [*sessions, *further], context.params
-    used = Sessions(*split(every))
-    simulator, _ = diagnosed.diagnose(Spot(time_step=context.time_step), used, params.twin.seed, context.say)
-    return fit(key, every, sessions, simulator, (params.twin.fit, params.train.residual), report)
+    """Fitted to all of these sessions; what is missed in further ones is not replayed."""
+    configs = (context.params.twin.fit, context.params.train.residual)
+    return fit(key, recorded.every, recorded.sessions, simulator, configs, report)
 
 
 def _others(key: PRNGKeyArray, sessions: Sequence[Recording], context: Context) -> dict[str, Model]:

@@ -52,6 +52,17 @@ class Share(NamedTuple):
         return f"diagnosis-N{self.sample_size}-s{self.seed}"
 
 
+class TwinShare(NamedTuple):
+    """The sessions that a twin is fitted to: all of them, or all but those of a fold."""
+
+    held_out: int | None
+
+    @property
+    def name(self) -> str:
+        """Readable and unique, like `all` and `without-0`."""
+        return "all" if self.held_out is None else f"without-{self.held_out}"
+
+
 @dataclass(frozen=True)
 class Workspace:
     """The folders of one source's recordings, models and results.
@@ -145,17 +156,22 @@ class Workspace:
         """What is known of a finished cell: fingerprint, curve, seconds."""
         return self.models / f"{cell.name}.json"
 
-    def augmented(self, share: Share) -> Path:
+    def augmented(self, share: Share | TwinShare) -> Path:
         """The effects' constants that a diagnosis of a share found."""
-        return self.models / f"{share.name}.npz"
+        return self._diagnosed(share, "npz")
 
-    def effects(self, share: Share) -> Path:
+    def effects(self, share: Share | TwinShare) -> Path:
         """What is known of that diagnosis: fingerprint, effects, seconds."""
-        return self.models / f"{share.name}.json"
+        return self._diagnosed(share, "json")
 
-    def twin_fold(self, fold: int) -> Path:
+    def _diagnosed(self, share: Share | TwinShare, suffix: str) -> Path:
+        if isinstance(share, TwinShare):
+            return self.twins / f"diagnosis-{share.name}.{suffix}"
+        return self.models / f"{share.name}.{suffix}"
+
+    def twin_fold(self, share: TwinShare) -> Path:
         """Scores of a twin that was not given a fold of the sessions, on these."""
-        return self.twins / f"fold-{fold}.json"
+        return self.twins / f"scores-{share.name}.json"
 
     def policy(self, cell: Cell) -> Path:
         """The policy learnt in the cell's model."""

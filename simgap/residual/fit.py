@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -41,12 +40,14 @@ def log_density(
 
 
 def equally_likely(durations: Float[Array, " q"], logits: Float[Array, " q"]) -> Float[Array, " q"]:
-    """As many durations that are equally likely: each as often as its share calls for, by largest remainders."""
-    wanted = len(durations) * np.asarray(jax.nn.softmax(logits))
-    counts = np.floor(wanted).astype(int)
-    most_left = np.argsort(counts - wanted)[: len(durations) - counts.sum()]
-    counts[most_left] += 1
-    return jnp.sort(jnp.repeat(durations, counts, total_repeat_length=len(durations)))
+    """As many durations that are equally likely: the law's quantiles at the middles of as many equal shares.
+
+    Two rare durations of similar length so get a share between them; rounded one by one they might get none.
+    """
+    order = jnp.argsort(durations)
+    below = jnp.cumsum(jax.nn.softmax(logits)[order])
+    middles = (jnp.arange(len(durations)) + 0.5) / len(durations)
+    return durations[order][jnp.clip(jnp.searchsorted(below, middles), 0, len(durations) - 1)]
 
 
 def fit(

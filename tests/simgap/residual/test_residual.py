@@ -166,8 +166,16 @@ def test_what_the_simulator_misses_is_learnt(held_back: Learnt) -> None:
 
 def test_shares_become_as_many_equally_likely_durations() -> None:
     made = equally_likely(jnp.array([3.0, 1.0, 0.5, 2.0]), jnp.log(jnp.array([0.3, 0.6, 0.02, 0.08])))
-    assert made.tolist() == [1.0, 1.0, 1.0, 3.0]  # of 1.2, 2.4, 0.08 and 0.32, in their order
+    assert made.tolist() == [1.0, 1.0, 2.0, 3.0]  # at 1/8, 3/8, 5/8 and 7/8 of 0.02, 0.62, 0.7, 1
     assert equally_likely(jnp.array([1.0, 2.0]), jnp.zeros(2)).tolist() == [1.0, 2.0]
+
+
+def test_two_rare_durations_are_not_lost_together() -> None:
+    """A seventh of the rows stall, in two kinds; each alone has half of a share of an eighth."""
+    law = {0.5: 0.24, 0.75: 0.24, 1.0: 0.24, 1.25: 0.15, 1.5: 0.0, 1.75: 0.0, 2.5: 0.065, 3.5: 0.065}
+    made = equally_likely(jnp.array(list(law)), jnp.log(jnp.array(list(law.values()))))
+    assert (made > 2).sum() == 1
+    assert float(made.mean()) == pytest.approx(sum(d * share for d, share in law.items()), rel=0.1)
 
 
 def test_rows_that_stall_are_found_and_their_number() -> None:
