@@ -34,10 +34,11 @@ SMALL = 0.1
 
 
 class Problem(NamedTuple):
-    """What the fit to windows holds fixed: the model as fitted to single rows, half the plausible ranges of the
-    parameters, and each state's mean change over a window, in which errors are counted."""
+    """What the fit to windows holds fixed: the model as fitted to single rows, the arm's reach [m], half the plausible
+    ranges of the parameters, and each state's mean change over a window, in which errors are counted."""
 
     model: ResidualModel
+    reach: Float[Array, ""]
     half: Float[Array, " p"]
     scale: Float[Array, " 12"]
 
@@ -61,7 +62,7 @@ def fit(
     model = single_rows(key_rows, key_model, sessions, simulator, (config, of_rows), report)
     first, heldout = _divided(key_held, [rows.timed(model, r) for r in sessions], config)
     windows = jax.tree.map(lambda *parts: jnp.concatenate(parts), first, heldout)
-    problem = _problem(model, windows)
+    problem = _problem(model, jnp.asarray(rows.reach(sessions), jnp.float32), windows)
     steps = _choose(key_fit, problem, (first, heldout), config, report)
     return _twin(problem, _train(key_fit, problem, windows, config, steps), replayed)
 
@@ -106,10 +107,10 @@ def _divided(key: PRNGKeyArray, sessions: Sequence[Rows], config: Config) -> tup
     return cut(kept, config.horizon, config.stride), cut(held, config.horizon, config.stride)
 
 
-def _problem(model: ResidualModel, windows: Windows) -> Problem:
+def _problem(model: ResidualModel, reach: Float[Array, ""], windows: Windows) -> Problem:
     low, high = parameter_ranges(model.simulator)
     still = jnp.broadcast_to(windows.state[:, :1], windows.state[:, 1:].shape)
-    return Problem(model, jnp.asarray(high - low) / 2, jnp.abs(errors(still, windows)).mean((0, 1)))
+    return Problem(model, reach, jnp.asarray(high - low) / 2, jnp.abs(errors(still, windows)).mean((0, 1)))
 
 
 def _variables(problem: Problem) -> dict[str, Any]:
@@ -124,7 +125,7 @@ def _model(problem: Problem, variables: dict[str, Any]) -> ResidualModel:
 @jax.jit
 def _error(variables: dict[str, Any], problem: Problem, windows: Windows) -> Float[Array, ""]:
     """Mean absolute error as a share of the motion, over states, rows and windows."""
-    predicted = predict(_model(problem, variables), variables["ages"], windows)
+    predicted = predict(_model(problem, variables), variables["ages"], problem.reach, windows)
     return (jnp.abs(errors(predicted, windows)) / problem.scale).mean()
 
 
@@ -193,8 +194,8 @@ def _twin(problem: Problem, variables: dict[str, Any], replayed: Sequence[Record
     """With the durations that are likeliest now."""
     model, ages = _model(problem, variables), variables["ages"]
     own = [rows.timed(model, r) for r in replayed]
-    missed = np.concatenate([rows.missed(model, ages, s) for s in own])
+    missed = np.concatenate([rows.missed(model, ages, problem.reach, s) for s in own])
     durations = np.concatenate([s.duration[HISTORY:] for s in own])
     starts = np.stack([np.asarray(to_body(jnp.asarray(r.state[0], jnp.float32)))[6:9] for r in replayed])
     home, row_s = np.median(starts, axis=0), rows.seconds(replayed)
-    return Twin(model, ages, *(jnp.asarray(a, jnp.float32) for a in (durations, missed, home, row_s)))
+    return Twin(model, ages, problem.reach, *(jnp.asarray(a, jnp.float32) for a in (durations, missed, home, row_s)))

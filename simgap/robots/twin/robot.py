@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from simgap.recordings import HISTORY
-from simgap.robots.twin.model import Twin, advance, at_home, departed, measured
+from simgap.robots.twin.model import Twin, at_home, measured, row
 from simgap.simulators.spot import SCHEMA
 
 
@@ -57,7 +57,6 @@ def _measured(twin: Twin, state: Float[Array, " 12"]) -> Float[Array, " 12"]:
 
 @jax.jit
 def _after(
-    twin: Twin, state: Float[Array, " 12"], commands: Float[Array, "3 6"], row: Int[Array, ""]
+    twin: Twin, state: Float[Array, " 12"], commands: Float[Array, "3 6"], at: Int[Array, ""]
 ) -> Float[Array, " 12"]:
-    then = advance(twin.model, state, commands, twin.durations[row])
-    return departed(state, then, twin.missed[row])
+    return row(twin.model, twin.reach, state, commands, (twin.durations[at], twin.missed[at]))

@@ -13,8 +13,8 @@ from simgap.noise import student_t_log_density
 from simgap.recordings import HISTORY, to_transitions
 from simgap.residual import duration
 from simgap.residual.model import ResidualModel
-from simgap.robots.twin.model import advance, departure, true
-from simgap.simulators.spot import SCHEMA
+from simgap.robots.twin.model import SHOULDER, advance, departure, true
+from simgap.simulators.spot import SCHEMA, to_body
 from simgap.types import Recording
 
 GRID = np.exp(np.linspace(np.log(0.4), np.log(10.0), 128)).astype(np.float32)
@@ -27,9 +27,9 @@ class Rows(NamedTuple):
     """A session as windows are cut from it: measured states, commands, and the duration [steps] of every row, of which
     the first `HISTORY` are taken to last one step."""
 
-    state: Float[np.ndarray, "T 12"]
-    command: Float[np.ndarray, "T 6"]
-    duration: Float[np.ndarray, " T-1"]
+    state: Float[np.ndarray | Array, "T 12"]
+    command: Float[np.ndarray | Array, "T 6"]
+    duration: Float[np.ndarray | Array, " T-1"]
 
 
 def timed(model: ResidualModel, recording: Recording) -> Rows:
@@ -53,25 +53,31 @@ def _likeliest(model: ResidualModel, x: Float[Array, "n x"], y: Float[Array, "n 
     return jax.vmap(one)(x, y)
 
 
-def missed(model: ResidualModel, ages: Float[Array, " 2"], rows: Rows) -> Float[np.ndarray, "n 12"]:
+def missed(
+    model: ResidualModel, ages: Float[Array, " 2"], reach: Float[Array, ""], rows: Rows
+) -> Float[np.ndarray, "n 12"]:
     """What the model missed in every row that has its history of commands; see `Twin`."""
-    return np.asarray(_missed(model, ages, *(jnp.asarray(a, jnp.float32) for a in rows)))
+    return np.asarray(_missed(model, ages, reach, Rows(*(jnp.asarray(a, jnp.float32) for a in rows))))
 
 
 @jax.jit
 def _missed(
-    model: ResidualModel,
-    ages: Float[Array, " 2"],
-    states: Float[Array, "T 12"],
-    commands: Float[Array, "T 6"],
-    duration: Float[Array, " T-1"],
+    model: ResidualModel, ages: Float[Array, " 2"], reach: Float[Array, ""], rows: Rows
 ) -> Float[Array, "n 12"]:
     def one(t: Array) -> Float[Array, " 12"]:
-        start, real = true(states[t], ages), true(states[t + 1], ages)
-        sent = jax.lax.dynamic_slice_in_dim(commands, t - HISTORY, HISTORY + 1)
-        return departure(start, advance(model, start, sent, duration[t]), real)
+        start, real = (true(rows.state[k], ages) for k in (t, t + 1))
+        sent = jax.lax.dynamic_slice_in_dim(rows.command, t - HISTORY, HISTORY + 1)
+        return departure(start, advance(model, reach, start, sent, rows.duration[t]), real)
 
-    return jax.vmap(one)(jnp.arange(HISTORY, len(states) - 1))
+    return jax.vmap(one)(jnp.arange(HISTORY, len(rows.state) - 1))
+
+
+def reach(recordings: Sequence[Recording]) -> float:
+    """The greatest distance of the hand from the shoulder [m]."""
+    hands = np.concatenate(
+        [np.asarray(jax.vmap(to_body)(jnp.asarray(r.state, jnp.float32)))[:, 6:9] for r in recordings]
+    )
+    return float(np.linalg.norm(hands - np.array(SHOULDER), axis=1).max())
 
 
 def seconds(recordings: Sequence[Recording]) -> float:

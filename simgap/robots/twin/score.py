@@ -55,11 +55,11 @@ def _windows(twin: Twin, recordings: Sequence[Recording], horizon: int, stride: 
 
 @jax.jit
 def _errors(twin: Twin, windows: Windows) -> Float[Array, "n h 12"]:
-    return errors(predict(twin.model, twin.ages, windows), windows)
+    return errors(predict(twin.model, twin.ages, twin.reach, windows), windows)
 
 
 @jax.jit
 def _replayed(twin: Twin, windows: Windows, taken: Array) -> Float[Array, "n 12"]:
     """Errors at the windows' ends where rows `taken` of the recorded ones are replayed."""
     own = windows._replace(duration=twin.durations[taken])
-    return errors(predict(twin.model, twin.ages, own, twin.missed[taken]), own)[:, -1]
+    return errors(predict(twin.model, twin.ages, twin.reach, own, twin.missed[taken]), own)[:, -1]

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from simgap.recordings import HISTORY
 from simgap.residual.model import ResidualModel
-from simgap.robots.twin.model import advance, departed, measured, true, wrapped
+from simgap.robots.twin.model import measured, row, true, wrapped
 from simgap.robots.twin.rows import Rows
 
 
@@ -33,19 +33,23 @@ def cut(sessions: Sequence[Rows], horizon: int, stride: int) -> Windows:
 
 
 def predict(
-    model: ResidualModel, ages: Float[Array, " 2"], windows: Windows, missed: Float[Array, "n h 12"] | None = None
+    model: ResidualModel,
+    ages: Float[Array, " 2"],
+    reach: Float[Array, ""],
+    windows: Windows,
+    missed: Float[Array, "n h 12"] | None = None,
 ) -> Float[Array, "n h 12"]:
     """The states after each row of every window, as measured; with what was missed in each row, where it is given."""
     missed = jnp.zeros((*windows.duration.shape, windows.state.shape[-1])) if missed is None else missed
 
     def one(window: Windows, missed: Float[Array, "h 12"]) -> Float[Array, "h 12"]:
-        def row(now: Array, t: Array) -> tuple[Array, Array]:
+        def after(now: Array, t: Array) -> tuple[Array, Array]:
             sent = jax.lax.dynamic_slice_in_dim(window.command, t, HISTORY + 1)
-            then = departed(now, advance(model, now, sent, window.duration[t]), missed[t])
+            then = row(model, reach, now, sent, (window.duration[t], missed[t]))
             return then, measured(then, ages)
 
         start = true(window.state[0], ages)
-        return jax.lax.scan(row, start, jnp.arange(len(window.duration)))[1]
+        return jax.lax.scan(after, start, jnp.arange(len(window.duration)))[1]
 
     return jax.vmap(one)(windows, missed)
 

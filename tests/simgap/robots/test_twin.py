@@ -17,11 +17,11 @@ from simgap.residual import duration
 from simgap.robots.twin import rows, score
 from simgap.robots.twin.config import Config
 from simgap.robots.twin.fit import fit
-from simgap.robots.twin.model import Twin, departed, departure, measured, true, wrapped
+from simgap.robots.twin.model import SHOULDER, Twin, departed, departure, measured, true, within, wrapped
 from simgap.robots.twin.robot import TwinRobot
 from simgap.robots.twin.windows import cut, errors, predict
 from simgap.simulators import parameter_ranges
-from simgap.simulators.spot import SCHEMA, Spot
+from simgap.simulators.spot import SCHEMA, Spot, to_body
 from simgap.types import ConfigError, DivergenceError, Recording, RecordingError
 
 SPOT = Spot()
@@ -86,6 +86,21 @@ def test_what_late_sensors_say_is_undone(state: np.ndarray, ages: tuple[float, f
     np.testing.assert_allclose(there, wrapped(jnp.asarray(state)), atol=1e-5)
 
 
+@given(STATES, st.floats(0.3, 2.0))
+def test_a_hand_ends_where_the_arm_does(state: np.ndarray, reach: float) -> None:
+    kept = within(jnp.asarray(state), jnp.asarray(reach))
+    arm, before = (np.asarray(to_body(s))[6:9] - SHOULDER for s in (kept, jnp.asarray(state)))
+    assert np.linalg.norm(arm) <= reach + 1e-4
+    if np.linalg.norm(before) <= reach:
+        np.testing.assert_array_equal(kept, jnp.asarray(state))
+    else:
+        np.testing.assert_allclose(np.cross(arm, before), 0, atol=1e-4)  # it stays on its line
+        then = np.asarray(to_body(jnp.asarray(kept)))
+        carried = np.array([then[3] - then[5] * before[1], then[4] + then[5] * (before[0] + SHOULDER[0]), 0])
+        carried[0] -= then[5] * SHOULDER[1]
+        assert (then[9:] - carried) @ arm <= 1e-3 * (1 + np.abs(then).max()) * reach
+
+
 @given(STATES, STATES, STATES)
 def test_a_departure_leads_to_what_really_came(state: np.ndarray, then: np.ndarray, real: np.ndarray) -> None:
     missed = departure(*map(jnp.asarray, (state, then, real)))
@@ -141,11 +156,11 @@ def test_a_session_that_is_replayed_is_repeated() -> None:
     recorded, _ = sessions()
     timed, own = rows.timed(twin().model, recorded[0]), twin()
     windows = cut([timed], 30, ROWS)
-    missed = rows.missed(own.model, own.ages, timed)[None, :30]
+    missed = rows.missed(own.model, own.ages, own.reach, timed)[None, :30]
     np.testing.assert_allclose(
-        errors(predict(own.model, own.ages, windows, jnp.asarray(missed)), windows), 0, atol=2e-4
+        errors(predict(own.model, own.ages, own.reach, windows, jnp.asarray(missed)), windows), 0, atol=2e-4
     )
-    assert np.abs(errors(predict(own.model, own.ages, windows), windows)).max() > 1e-2
+    assert np.abs(errors(predict(own.model, own.ages, own.reach, windows), windows)).max() > 1e-2
 
 
 def test_replays_hold_what_was_measured_about_as_often_as_they_say() -> None:
@@ -165,6 +180,8 @@ def test_a_twin_is_a_robot() -> None:
         robot.command(forward)
     there = robot.observe()
     assert there[0] > 0.3
+    arm = np.asarray(to_body(jnp.asarray(there)))[6:9] - SHOULDER
+    assert np.linalg.norm(arm) < float(twin().reach) + 0.05
     robot.stop()
     robot.reset()
     np.testing.assert_array_equal(robot.observe(), first)
