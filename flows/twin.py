@@ -30,7 +30,7 @@ def run(source: str, params: Params, root: Path) -> None:
     code, diagnosis = map(fingerprint.code_digest, (fingerprint.TWIN, fingerprint.DIAGNOSIS))
     context = twin.Context(params, code, diagnosis, time.perf_counter, lambda line: progress.say(f"  {line}"))
     recorded, shares = twin.load(workspace, context.time_step), twin.shares(context.folds)
-    steps = params.twin.fit.training_steps
+    steps = params.train.residual.simulator_steps + params.twin.fit.training_steps
     with (
         grid_run(store, f"twin-{source}", params.twin.model_dump(), tags) as run,
         progress.bars(f"twin of {source}", len(shares), time.monotonic) as bars,

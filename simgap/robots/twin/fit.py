@@ -30,7 +30,7 @@ from simgap.types import DivergenceError, Recording, RecordingError, Report, Sim
 NOISE = FAMILIES["student_t"]
 """Of single rows: the stalls make any other law follow a few of them."""
 SMALL = 0.1
-"""Size of the network's outputs where training begins, in standard deviations of a row's change."""
+"""What the residual adds where the network gives 1, in standard deviations of a row's change."""
 
 
 class Problem(NamedTuple):
@@ -55,19 +55,22 @@ def fit(
 
     First parameters, durations and noise are fitted to single rows, then parameters, ages and residual to windows in
     which every row has its likeliest duration, for the number of steps that is best on sessions held out of a first
-    such fit. `report` gets heldout_error, a share of the motion. Raises DivergenceError where no fit is finite.
+    such fit. `report` gets train_nll of single rows and heldout_error, a share of the motion.
+
+    Raises DivergenceError where no fit is finite, RecordingError where sessions are too short.
     """
     config, of_rows = configs
     key_rows, key_model, key_held, key_fit = jax.random.split(key, 4)
-    model = single_rows(key_rows, key_model, sessions, simulator, (config, of_rows), report)
+    model = _single_rows(key_rows, key_model, sessions, simulator, (config, of_rows), report)
     first, heldout = _divided(key_held, [rows.timed(model, r) for r in sessions], config)
     windows = jax.tree.map(lambda *parts: jnp.concatenate(parts), first, heldout)
     problem = _problem(model, jnp.asarray(rows.reach(sessions), jnp.float32), windows)
-    steps = _choose(key_fit, problem, (first, heldout), config, report)
+    later: Report = lambda done, metrics: report(of_rows.simulator_steps + done, metrics)  # noqa: E731
+    steps = _choose(key_fit, problem, (first, heldout), config, later)
     return _twin(problem, _train(key_fit, problem, windows, config, steps), replayed)
 
 
-def single_rows(
+def _single_rows(
     key: PRNGKeyArray,
     key_model: PRNGKeyArray,
     sessions: Sequence[Recording],
@@ -75,7 +78,7 @@ def single_rows(
     configs: tuple[Config, residual.Config],
     report: Report,
 ) -> ResidualModel:
-    """The simulator with the parameters, durations and noise of single rows, and a residual that is small."""
+    """The simulator with the parameters, durations and noise of single rows, and a residual that is zero so far."""
     config, of_rows = configs
     data = to_transitions(SCHEMA, sessions)
     x, y = jnp.asarray(data.x), jnp.asarray(data.y)
