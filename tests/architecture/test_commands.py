@@ -25,6 +25,7 @@ COVERED = {
     r"make (up|down)": ("flows/test_operate.py::test_down_stops_all", '"flows.servers", "up"'),
     r"dvc repro": (REPRO, 'run("dvc", "repro")'),
     r"python -m flows\.(policy|track) virtual": (REPRO, 'run("dvc", "repro")'),  # its stages
+    r"python -m flows\.twin spot": ("flows/test_twin_stage.py::test_a_twin_is_scored", 'stage.run("mine"'),
     r"dvc repro pipelines/spot/dvc\.yaml.*": (
         "flows/test_dvc.py::test_the_real_spots_pipeline", '"list", "pipelines/spot/dvc.yaml"'),
     r"dvc repro pipelines/sealed/dvc\.yaml": (
