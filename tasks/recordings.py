@@ -38,11 +38,15 @@ def import_folder(workspace: Workspace, params: FolderParams, time_step: float) 
     """
     sessions: dict[str, list[Recording]] = {}
     errors: list[RecordingError] = []
-    wanted = dict(zip(SPLITS, (params.training, params.test), strict=True))
-    wanted |= {FURTHER: params.further} if params.further else {}
-    for part, patterns in wanted.items():
-        sessions[part], bad = read_recordings(params.folder, SCHEMA, time_step, patterns)
+    for split, patterns in zip(SPLITS, (params.training, params.test), strict=True):
+        sessions[split], bad = read_recordings(params.folder, SCHEMA, time_step, patterns)
         errors += bad
+    if params.further:
+        try:
+            sessions[FURTHER], bad = read_recordings(params.folder, SCHEMA, time_step, params.further)
+            errors += bad
+        except RecordingError as error:  # nothing but a twin needs them, and it can do without
+            errors.append(error)
     both = {r.name for r in sessions["training"]} & {r.name for r in sessions["test"]}
     if both:
         raise RecordingError(

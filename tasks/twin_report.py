@@ -93,7 +93,8 @@ def _markdown(workspace: Workspace, rows: Sequence[Row], summary: Sequence[Row])
         "![Error against rows](error_against_rows.png)",
         "",
         "Mean distance between predicted and measured position [m], from the measured state at the start and the "
-        "commands sent, mean over folds (least to greatest fold).",
+        "commands sent, mean over folds (least to greatest fold). Durations as recorded are read from the measurements "
+        "of the same rows: nobody knows them beforehand, and they absorb whatever else speeds up or slows down a row.",
         "",
         "| prediction by | " + " | ".join(head) + " |",
         "| --- |" + " --- |" * len(head),

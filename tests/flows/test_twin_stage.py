@@ -99,8 +99,14 @@ def test_policies_of_a_recorded_robot_run_on_its_twin(
     wanted = params.track.helix.turns * params.track.helix.period / float(kept.row_s)
     assert len(goals) <= np.ceil(wanted) + 1
 
-    run = MlflowClient("sqlite:///mlflow.db").search_runs(["3"])[0]
-    assert run.data.metrics["twin/rollout_ee_10"] > 0
+
+def test_a_twins_scores_are_in_mlflow(done: tuple[Path, Params]) -> None:
+    client = MlflowClient(f"sqlite:///{done[0]}/mlflow.db")
+    (experiment,) = [e for e in client.search_experiments() if e.name == twin.EXPERIMENT]
+    run, *_ = client.search_runs([experiment.experiment_id])
+    assert run.info.status == "FINISHED"
+    assert run.data.metrics[f"{UNKNOWN}/rollout_ee_10"] > 0
+    assert {"report.md", "folds.csv", "twin.npz"} <= {file.path for file in client.list_artifacts(run.info.run_id)}
 
 
 def test_what_is_there_is_not_made_again(done: tuple[Path, Params], monkeypatch: pytest.MonkeyPatch) -> None:
