@@ -120,9 +120,9 @@ def animate(path: Path, run: Run, title: str) -> None:
             target.set_data([goal[i]], [goal[j]])
         return [artist for _, _, *artists in drawn for artist in artists]
 
-    animation = FuncAnimation(figure, draw, frames=range(0, len(run.states), 3), blit=True)
+    animation = FuncAnimation(figure, draw, frames=range(0, len(run.states), 4), blit=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    animation.save(path, PillowWriter(fps=10), dpi=70)
+    animation.save(path, PillowWriter(fps=8), dpi=50)
     plt.close(figure)
 
 

@@ -72,7 +72,7 @@ def notes(workspace: Workspace, cells: Sequence[Cell], params: PolicyParams) -> 
     return [
         f"{len(cells)} policies: {len({cell.model for cell in cells})} models, N = {sizes}, seeds "
         f"{', '.join(str(seed) for seed in sorted({cell.seed for cell in cells}))}; models with {params.noise} noise. "
-        f"Each learnt for {min(steps):,} to {max(steps):,} environment steps (the paper: 2,500,000) at a learning rate "
+        f"Each learnt for at most {max(steps):,} environment steps (the paper: 2,500,000) at a learning rate "
         f"of {sac.learning_rate_policy:g} (the paper: 0.0001); {early} of them ended at a plateau of the return. "
         f"An episode is lost beyond {params.environment.escape:g} times the recordings' box."
     ]
@@ -185,7 +185,9 @@ def _metrics(summary: Sequence[Row]) -> dict[str, Any]:
 
 
 def _markdown(source: str, rows: Sequence[Row], summary: Sequence[Row], notes: Sequence[str]) -> str:
-    lines = [f"# Shape tracking: {source}", "", *notes, ""]
+    lines = [f"# Shape tracking: {source}", ""]
+    for note in notes:
+        lines += [note, ""]
     lines += [
         "Mean distance between hand and goal [m], over the rows that were run, mean ± standard deviation over seeds. A "
         "run that is on course for a collision is stopped early: its error is that of its truncated part, and it is "
