@@ -15,13 +15,13 @@ from simgap.formats.documents import read_json, write_json
 from simgap.formats.folders import remove_file
 from simgap.formats.recordings import digest, read_recordings
 from simgap.prediction import Model
-from simgap.recordings import to_transitions
+from simgap.recordings import HISTORY, to_transitions
 from simgap.robots.twin import score
 from simgap.robots.twin.fit import NOISE, fit
 from simgap.robots.twin.model import Twin
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import Recording, Report, Sessions
+from simgap.types import Recording, RecordingError, Report, Sessions
 from tasks import diagnosed
 from tasks.cells import finished
 from tasks.files.twins import save_twin
@@ -126,6 +126,12 @@ def fold_scores(
     if path.exists() and (known := read_json(path))["fingerprint"] == mark:
         return known["rows"]
     kept, held = recorded.without(share, context.folds), recorded.held_out(share, context.folds)
+    if all(len(r.state) <= params.twin.fit.horizon + HISTORY for r in held):
+        raise RecordingError(
+            f"no session of fold {share.held_out} ({', '.join(r.name for r in held) or 'which has none'}) has more "
+            f"than {params.twin.fit.horizon + HISTORY} rows, so nothing can be predicted there. Lower twin.fit.folds or "
+            "twin.fit.horizon, or give longer sessions."
+        )
     key, black_key, replay_key = jax.random.split(context.key(share), 3)
     twin = _fit(key, kept, found.simulator, context, report)
     stride, horizons, own = params.score.stride, _horizons(params), params.twin.fit

@@ -16,11 +16,12 @@ from simgap.formats.documents import read_json
 from simgap.formats.recordings import write_recording
 from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import SCHEMA, Spot
-from simgap.types import Recording, SimgapError
+from simgap.types import Recording, RecordingError, SimgapError
+from tasks import twin as tasks_twin
 from tasks.files.twins import load_twin
 from tasks.params import Params, load_params
 from tasks.twin import BLACK_BOX, KNOWN, SIM_MODEL, UNKNOWN
-from tasks.workspace import Workspace
+from tasks.workspace import TwinShare, Workspace
 
 CELLS = {"models": ["sim_model"], "sample_sizes": [40], "seeds": [0]}
 OVERRIDES: dict[str, Any] = {
@@ -130,6 +131,15 @@ def test_a_robot_without_a_twin_is_named(tmp_path: Path, done: tuple[Path, Param
             track.run("mine", params, tmp_path)
     finally:
         workspace.policies.rename(root / "policies" / "mine")
+
+
+def test_a_fold_without_a_long_session_is_named(done: tuple[Path, Params]) -> None:
+    root, params = done
+    workspace, short = Workspace(root, "mine"), [session(f"short_{i}", i) for i in range(2)]
+    short = [r._replace(state=r.state[:9], command=r.command[:9], time_s=r.time_s[:9]) for r in short]
+    context = tasks_twin.Context(params, "code", "diagnosis", lambda: 0.0, print)
+    with pytest.raises(RecordingError, match=r"no session of fold 0 \(short_0\) has more than 12 rows"):
+        tasks_twin.fold_scores.fn(workspace, TwinShare(0), tasks_twin.Recorded(short, []), context, lambda *_: None)
 
 
 def test_a_virtual_robot_needs_no_twin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
