@@ -129,8 +129,8 @@ def fold_scores(
     if all(len(r.state) <= params.twin.fit.horizon + HISTORY for r in held):
         raise RecordingError(
             f"no session of fold {share.held_out} ({', '.join(r.name for r in held) or 'which has none'}) has more "
-            f"than {params.twin.fit.horizon + HISTORY} rows, so nothing can be predicted there. Lower twin.fit.folds or "
-            "twin.fit.horizon, or give longer sessions."
+            f"than {params.twin.fit.horizon + HISTORY} rows, so nothing can be predicted there. Lower twin.fit.folds "
+            "or twin.fit.horizon, or give longer sessions."
         )
     key, black_key, replay_key = jax.random.split(context.key(share), 3)
     twin = _fit(key, kept, found.simulator, context, report)
