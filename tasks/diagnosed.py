@@ -94,11 +94,11 @@ def keep(
         return
     # Should this fail, what was found by other code must not pass for its result.
     remove_file(record, workspace.root)
-    start = clock()
+    start, spot = clock(), Spot(time_step=time_step)
     from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
 
-    found = explain(Spot(time_step=time_step), used, np.random.default_rng(seed), report)
-    simulator = AugmentedSimulator.of(Spot(time_step=time_step), found.acting(found.known()), found.problem.scales)
+    found = explain(spot, used, np.random.default_rng(seed), report)
+    simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
     save_arrays(arrays, augmented_arrays(simulator))
     write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),

@@ -33,9 +33,9 @@ from tasks.workspace import SPLITS, TwinShare, Workspace
 Row = dict[str, Any]
 KNOWN, UNKNOWN, SIM_MODEL, BLACK_BOX = "twin, durations as recorded", "twin", "sim_model", "fsvgd"
 POINTS = 8
-"""Of the error against the number of rows, in the figure."""
+"""Number of horizons on the curve of the figure."""
 STALL = 2.0
-"""From so many times the median duration on, a row counts as a stall."""
+"""A row that lasts longer than this many times the median counts as a stall."""
 
 
 class Recorded(NamedTuple):
@@ -190,7 +190,7 @@ def _others(key: PRNGKeyArray, sessions: Sequence[Recording], context: Context) 
 
 
 def _horizons(params: Params) -> tuple[int, ...]:
-    """Of the report, and so many that a curve can be drawn, up to the twin's own."""
+    """Horizons of the scores: those of the report, and `POINTS` for the curve, none beyond the twin's own."""
     longest = params.twin.fit.horizon
     curve = np.unique(np.linspace(1, longest, POINTS).round().astype(int)).tolist()
     return tuple(sorted({*curve, *(h for h in params.score.horizons if h <= longest)}))

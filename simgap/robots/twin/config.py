@@ -7,14 +7,13 @@ from simgap.types import ConfigError
 
 @dataclass(frozen=True)
 class Config:
-    """Beside those of the fit to single rows, which are `simgap.residual.config.Config`'s.
+    """Of the fit to windows of many rows; the fit to single rows has `simgap.residual.config.Config`.
 
-    horizon: rows of a window that is predicted; stride: rows between starts of windows. training_steps,
-    evaluate_every, batch_size [windows a step]: of the fit to windows, by Adam, the learning rates falling to 0.
-    simulator_learning_rate: of the parameters, in half their plausible ranges, and of the ages [s]. learning_rate,
-    weight_decay, hidden_layer_sizes: of the residual's network. heldout_share: of
-    the sessions, that choose the number of steps. folds: of the cross-validation over sessions. replays: runs with
-    recorded departures, from every start, that say whether these make up for what the model does not know.
+    horizon: rows of a window; stride: rows between the starts of windows. training_steps, evaluate_every, batch_size
+    [windows a step]: of the fit, by Adam with learning rates that fall to 0. simulator_learning_rate: of the parameters
+    [half their plausible ranges] and of the ages [s]. learning_rate, weight_decay, hidden_layer_sizes: of the network
+    of the residual. heldout_share: of the sessions, to choose the number of steps by. folds: of the cross-validation
+    over sessions. replays: runs with recorded departures from every start, to measure their coverage.
     """
 
     horizon: int

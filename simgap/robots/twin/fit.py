@@ -156,7 +156,7 @@ def _train(
     steps: int,
     watch: Callable[[int, dict[str, Any]], None] = lambda *_: None,
 ) -> dict[str, Any]:
-    """The variables after so many of `config.training_steps` steps; `watch` sees them every `evaluate_every`."""
+    """Train for `steps` of the `config.training_steps` steps; calls `watch(step, variables)` every `evaluate_every`."""
     variables = _variables(problem)
     state = _optimiser(config).init(variables)
     for done in range(config.evaluate_every, steps + 1, config.evaluate_every):

@@ -69,7 +69,7 @@ def advance(
     commands: Float[Array, "3 6"],
     duration: Float[Array, ""],
 ) -> Float[Array, " 12"]:
-    """The state after a row of so many steps, by the model alone; commands are u_{t-2}, u_{t-1}, u_t."""
+    """The state after a row that lasts `duration` [steps], without a departure; commands are u_{t-2}, u_{t-1}, u_t."""
     model, encoded = replace(model, pace=duration, carried=jnp.ones(())), encode_state(SCHEMA, state)
     change = steady(model, jnp.concatenate([encoded, commands.reshape(-1)]))
     return within(decode_state(SCHEMA, encoded + change[0]), reach)

@@ -42,7 +42,7 @@ STATES = arrays(np.float64, 12, elements=st.floats(-3, 3))
 
 @jax.jit
 def _truth(state: Array, commands: Array, steps: Array) -> Array:
-    """The kinematic model for so many steps."""
+    """The state that the kinematic model reaches after `steps` steps."""
     x = jnp.concatenate([encode_state(SCHEMA, state), commands.reshape(-1)])
     change = duration.after(duration.path(SPOT, PHI, x), steps[None])[0]
     yaw = jnp.arctan2(x[2] + change[2], x[3] + change[3])
