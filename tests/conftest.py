@@ -71,7 +71,9 @@ def prefect_server() -> Iterator[dict[str, str]]:
     port = free_port()
     inherited = {name: value for name, value in os.environ.items() if name not in NONE}
     environment = {**inherited, "PREFECT_SERVER_API_PORT": str(port)}
-    command = [Path(sys.executable).parent / "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(port)]
+    # Without its services (schedulers and the like), which no test needs and which take a minute of a core.
+    start = [Path(sys.executable).parent / "prefect", "server", "start", "--no-services"]
+    command = [*start, "--host", "127.0.0.1", "--port", str(port)]
     server = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     address = f"http://127.0.0.1:{port}/api"
     try:

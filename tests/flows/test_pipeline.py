@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from drawn import drawn
 from killing import worker
 from mlflow import MlflowClient
 
@@ -135,7 +136,7 @@ def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> No
     assert [line.split()[0] for line in tail] == ["report", "figures", "tracking", "diagnosis", "MLflow"]
     report = folder / tail[0].split()[1]
     assert "Sim-FSVGD" in report.read_text()
-    assert (report.parent / "nll_against_n.png").stat().st_size > 10_000
+    assert drawn(report.parent / "nll_against_n.png")
     statement = read_json(report.parent / "diagnosis" / "diagnosis.json")["statement"]
     assert statement in output
     assert html.escape(statement) in (folder / tail[3].split()[1]).read_text()
@@ -285,7 +286,7 @@ def test_policies_are_learnt_run_on_the_robot_and_told_of(
     assert "Best policy against proportional 1 per s" in report
     assert "Sim-FSVGD below SIM-MODEL at every N" in report
     for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", report):
-        assert (tracking / name).stat().st_size > 5_000, name
+        assert drawn(tracking / name), name
 
     runs = children(folder, "policies").set_index("name")
     run = runs.loc[Cell("student_t", "sim_fsvgd", 80, 0).name]

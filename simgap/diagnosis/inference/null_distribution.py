@@ -105,12 +105,14 @@ def blocks(counts: np.ndarray) -> np.ndarray:
 def by_chance(weighed: Weighed, level: float, rng: np.random.Generator) -> tuple[float, float]:
     """p-value of the greatest statistic under noise alone, and the critical value at `level`.
 
-    The null distribution of the maximum comes from random weights on the blocks' scores (multiplier bootstrap).
+    The null distribution of the maximum comes from random weights on the blocks' scores (multiplier bootstrap). Fewer
+    than `FEW` blocks give none: then nothing can be told from noise, and the p-value is one.
     """
     multipliers = rng.standard_normal((weighed.left.shape[1], DRAWS), np.float32)
     noise = np.zeros(DRAWS, np.float32)
     for first in range(0, len(weighed.left), AT_ONCE):
         part = weighed.left[first : first + AT_ONCE].astype(np.float32)
         noise = np.maximum(noise, ((part @ multipliers) ** 2).max(0))
-    strongest = weighed.statistic.max(initial=0.0)
-    return float((1 + (noise >= strongest).sum()) / (1 + len(noise))), float(np.quantile(noise, 1 - level))
+    strongest, draws = weighed.statistic.max(initial=0.0), len(noise)
+    p_value = 1.0 if weighed.left.shape[1] < FEW else float((1 + (noise >= strongest).sum()) / (1 + draws))
+    return p_value, float(np.quantile(noise, 1 - level))

@@ -5,7 +5,9 @@ import pytest
 from planted import SCALES, SPOT
 from small import RICH, sessions
 
+from simgap.diagnosis.config import BLOCK, FEW, LEVEL
 from simgap.diagnosis.hypotheses.space import hypotheses_of
+from simgap.diagnosis.inference.null_distribution import Evidence, by_chance, weigh
 from simgap.diagnosis.inference.score_test import Screened, closer
 from simgap.diagnosis.likelihood.scales import measure
 
@@ -58,3 +60,13 @@ def test_a_staircase_is_looked_for_at_odd_parts_and_on_single_commands() -> None
     assert {d.hypothesis.where for d in found} == {"ee", "cmd_ee_vx", "cmd_ee_vy", "cmd_ee_vz"}
     for hypothesis in {d.hypothesis.where for d in found}:
         assert {0.3, 0.1, 0.06} <= {round(d.values[0], 9) for d in found if d.hypothesis.where == hypothesis}
+
+
+@pytest.mark.parametrize("blocks", [FEW - 1, FEW])
+def test_in_too_few_blocks_nothing_can_be_told_from_noise(blocks: int) -> None:
+    """However strong an effect is: one whose score is ten times its information in every row."""
+    power = np.ones((3, blocks * BLOCK))
+    weighed = weigh(Evidence(10 * power, power, np.ones(3, bool)), np.arange(0, blocks * BLOCK, BLOCK))
+    p_value, _ = by_chance(weighed, LEVEL, np.random.default_rng(0))
+    assert (p_value < LEVEL) == (blocks == FEW)
+    assert p_value <= 1
