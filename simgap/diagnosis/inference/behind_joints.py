@@ -9,7 +9,7 @@ from jaxtyping import Float
 from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LIKELY, Z95
 from simgap.diagnosis.inference.alternatives import Member, compared
 from simgap.diagnosis.inference.explanation import Explanation, Hidden
-from simgap.diagnosis.inference.hidden import Gains, State, fitted
+from simgap.diagnosis.inference.hidden import Gains, State, fitted, refitted
 from simgap.diagnosis.inference.model import Model, Reporter, without
 from simgap.diagnosis.inference.nonparametric import no_law
 from simgap.diagnosis.inference.null_distribution import blocks
@@ -55,33 +55,59 @@ def behind_joints(found: Explanation, report: Reporter) -> Explanation:
     simulator = found.problem.augmented.simulator
     if not is_engine(simulator) or found.baseline:
         return found
-    for joint, members in _places(found).items():
-        if not (engines := split_of(simulator, joint)):
+    own = evaluate(itself(found.problem), found.fit.v, found.fit.groups)
+    for joint, members in _places(found, own).items():
+        stand_ins = {name for h in found.hidden if h.named for name in h.replaces}
+        members = [m for m in members if m.hypothesis.name not in stand_ins]
+        engines = split_of(simulator, joint) if members or not stand_ins else ()
+        if not engines:
             continue
         report(f"comparing with play and a spring between motor and link of {joint}")
         replaced = [m for m in members if m.hypothesis.effect.place not in ON_THE_WAY] or members
         bare = without(found.fit, [group for m in replaced for group in m.hypothesis.groups]).v
-        own = evaluate(itself(found.problem), found.fit.v, found.fit.groups)
         base = max((m.without for m in replaced), key=lambda f: f.loglik) if replaced else found.fit
         states = fitted(found.problem, bare, engines, Gains(own.loglik, base.loglik))
         report(", ".join(f"{s.engine.terms[-1].effect} {s.loglik - own.loglik:+.1f} nats" for s in states))
         if states:
-            found = _with(found, _Contest(replaced, base, own, bare, states))
+            found = _with(found, _without_companions(found, _Contest(replaced, base, own, bare, states), report))
     return found
 
 
-def _places(found: Explanation) -> dict[str, list[Member]]:
-    """Joints, each with the effects that gain most there; also the joint whose residuals can be predicted best."""
+def _without_companions(found: Explanation, contest: _Contest, report: Reporter) -> _Contest:
+    """The contest in which the best rival also replaces each effect that is not needed beside it.
+
+    A search that lacks a hidden state adds effects at other joints too, which make up for what the first one is not.
+    """
+    own, required = contest.own.loglik, found.rounds[0].screening.threshold / 2
+    replaced = {m.hypothesis.name for m in contest.replaced}
+    for m in (m for m in found.members if m.hypothesis.name not in replaced):
+        best, *others = (s for s in contest.states if s.loglik > own or s is contest.states[0])
+        if best.loglik <= own:
+            break
+        bare = without(contest.own._replace(v=contest.bare), m.hypothesis.groups).v
+        state, *others = (refitted(found.problem, bare, s, contest.base.loglik) for s in (best, *others))
+        if state.loglik > best.loglik - required:
+            report(f"{m.hypothesis.name} is not needed beside {best.engine.terms[-1].effect}")
+            contest = contest._replace(replaced=[*contest.replaced, m], bare=bare, states=[state, *others])
+    return contest
+
+
+def _places(found: Explanation, own: Fit) -> dict[str, list[Member]]:
+    """Joints at which something was found, each with the effects that gain most there; first the one where effects and
+    predictable residuals gain most."""
     layout = found.problem.augmented.layout
     bodies = [f.body for f in layout.schema.outputs]
-    places: dict[str, list[Member]] = {}
+    # By the engine itself, which may have dropped an effect since.
+    white = whiteness(found.problem, own).nats
+    gains, places = np.array(white, float), {b: [] for b in dict.fromkeys(bodies) if b in layout.joints}
     density = log_density(found.fit.e, found.fit.noise).sum(0)
     for m in found.members:
-        gained = density - log_density(m.without.e, m.without.noise).sum(0)
-        places.setdefault(bodies[int(gained.argmax())], []).append(m)
-    if found.whiteness.nats.any():
-        places.setdefault(bodies[int(found.whiteness.nats.argmax())], [])
-    return {joint: members for joint, members in places.items() if joint in layout.joints}
+        gained = np.maximum(density - log_density(m.without.e, m.without.noise).sum(0), 0.0)
+        gains += gained
+        places.get(bodies[int(gained.argmax())], []).append(m)
+    total = {b: float(gains[[other == b for other in bodies]].sum()) for b in places}
+    rest = {b for b, nats in zip(bodies, white, strict=True) if nats}
+    return {b: places[b] for b in sorted(places, key=lambda b: -total[b]) if places[b] or b in rest}
 
 
 def _with(found: Explanation, contest: _Contest) -> Explanation:

@@ -172,6 +172,12 @@ def fitted(problem: Problem, v: Variables, engines: Sequence[Engine], gains: Gai
     return sorted((s for s in ends if np.isfinite(s.loglik)), key=lambda s: -s.loglik)
 
 
+def refitted(problem: Problem, v: Variables, state: State, base: float) -> State:
+    """A rival fitted on, with other command paths and terms of the engine, those in v. base: see `Gains`."""
+    search = _search(problem, state.engine, driven(problem, v))._replace(full=True)
+    return search.climbed(search.fit(state.at), base)
+
+
 def _gain(problem: Problem, v: Variables, engine: Engine) -> Float[np.ndarray, "s+h o"]:
     """The gain of v; at the joint that with which a search starts, and none for the hidden states. The gain of v there
     makes up for what the rival explains."""

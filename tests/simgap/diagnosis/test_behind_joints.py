@@ -1,18 +1,21 @@
 """Play and a spring between motor and link, against recordings of MuJoCo's own models that have them."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from servos import Servos, recorded
 
-from simgap.diagnosis.inference.behind_joints import FOUND, _beside
+from simgap.diagnosis.inference import behind_joints as module
+from simgap.diagnosis.inference.behind_joints import FOUND, _beside, _Contest, _without_companions
 from simgap.diagnosis.inference.hidden import Gains, State, fitted
 from simgap.diagnosis.inference.relinearise import itself
 from simgap.diagnosis.likelihood.direct import driven, innovations
 from simgap.diagnosis.likelihood.filter import gain_matrix
-from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import fit_noise, log_density
@@ -102,3 +105,19 @@ def test_rivals_share_what_the_effects_that_they_replace_do_not_keep() -> None:
     assert list(odds) == ["link_backlash", "coulomb_friction", "gain"]
     assert odds["coulomb_friction"] == pytest.approx(0.18)
     assert sum(odds.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("needed", "expected"), [(200.0, ["friction"]), (3.0, ["friction", "payload"])])
+def test_a_rival_also_replaces_what_is_not_needed_beside_it(
+    needed: float, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    members = [SimpleNamespace(hypothesis=SimpleNamespace(name=n, groups=())) for n in ("friction", "payload")]
+    found: Any = SimpleNamespace(
+        members=members, problem=None, rounds=[SimpleNamespace(screening=SimpleNamespace(threshold=20.0))]
+    )
+    engine = SimpleNamespace(terms=[SimpleNamespace(effect="link_backlash")])
+    play = State(engine, None, None, None, 900.0)  # type: ignore[arg-type]
+    own = Fit(None, (), None, None, 500.0)  # type: ignore[arg-type]
+    monkeypatch.setattr(module, "refitted", lambda *given: given[2]._replace(loglik=900.0 - needed))
+    contest = _without_companions(found, _Contest(members[:1], own, own, None, [play]), lambda _: None)  # type: ignore[arg-type]
+    assert [m.hypothesis.name for m in contest.replaced] == expected
