@@ -159,15 +159,16 @@ def _hidden(
     found: Explanation, contest: _Contest, state: State, both: _Both, odds: dict[str, float], left: Whiteness
 ) -> Hidden:
     """The best rival, as a finding. It is named if it is likely, gains on held-out rows over what was found, and
-    explains more than it leaves predictable in the outputs of its joint; where nothing was found, also more than the
-    last search required."""
+    explains more than it leaves predictable in the outputs of its joint; and is ahead by what the last search
+    required."""
     term, problem, replaced = state.engine.terms[-1], found.problem, contest.replaced
     gain, heldout = state.loglik - contest.base.loglik, slice(len(both.rows[FOUND]) - both.heldout, None)
     more = float((both.rows[term.effect] - both.rows[FOUND])[heldout].sum())
     here = [f.body == term.where for f in problem.augmented.layout.schema.outputs]
     nameless = float(left.nats[here].sum())
-    required = 0.0 if replaced else found.rounds[-1].screening.threshold / 2
-    named = odds[term.effect] >= LIKELY and more > 0 and gain >= EXPLAINED * (gain + nameless) and gain > required
+    # Over the tables' fit as well: where the engine does not confirm it, any refit by the engine gains.
+    ahead = state.loglik - found.fit.loglik > found.rounds[-1].screening.threshold / 2
+    named = odds[term.effect] >= LIKELY and more > 0 and gain >= EXPLAINED * (gain + nameless) and ahead
     width = np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0)) * state.sd
     ends = np.clip(state.value * np.exp([0.0, -width, width]), term.low, term.high)
     value, *ci95 = (1 / ends if term.reciprocal else ends).tolist()
