@@ -124,6 +124,17 @@ def given_of(engine: Engine) -> Engine:
     return getattr(engine, "given", None) or engine
 
 
+def split_of(engine: Engine, joint: str) -> tuple[Engine, ...]:
+    """Rivals of the engine with a hidden state behind a joint (`Field.body`), such as play between motor and link.
+
+    Each has the engine's parameters and terms, and one more term, the last, which must not be zero; its states are the
+    engine's and then the hidden ones, which are zero where a session starts. An engine may have them, as its method
+    `split`.
+    """
+    split = getattr(engine, "split", None)
+    return () if split is None else tuple(split(joint))
+
+
 def is_engine(simulator: StepModel | Engine) -> TypeIs[Engine]:
     """Whether a simulator steps rows outside JAX."""
     return hasattr(simulator, "rows")

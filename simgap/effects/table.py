@@ -3,6 +3,7 @@
 from itertools import groupby
 
 from simgap.effects import CATALOGUE
+from simgap.effects.behind_joints import BEHIND_JOINTS
 from simgap.effects.effect import Effect
 
 _PLACES = {
@@ -20,6 +21,14 @@ noise](../explanation/method.md#effects-on-the-noise). `{u}` is the unit of the 
 acts on. A name in braces stands for the constant of that name.
 """
 
+_BEHIND = """## Hidden between motor and link
+
+Rivals of what is found at a joint of a MuJoCo model, with the encoder at the link or at the motor. `{u}` is the unit of
+the joint's position, `{force}` that of its effort.
+
+| effect | constants | in words |
+| --- | --- | --- |"""
+
 
 def page() -> str:
     """The page, in Markdown."""
@@ -27,6 +36,7 @@ def page() -> str:
     for place, effects in groupby(sorted(CATALOGUE, key=lambda e: list(_PLACES).index(e.place)), lambda e: e.place):
         lines += [f"## Acts on {_PLACES[place]}\n", "| effect | constants | in words | what may share constants |",
                   "| --- | --- | --- | --- |", *map(_row, effects), ""]  # fmt: skip
+    lines += [_BEHIND, *(f"| `{id}` | {c.constant} [{c.unit}] | {c.says} |" for id, c in BEHIND_JOINTS.items()), ""]
     return "\n".join(lines)
 
 

@@ -26,8 +26,8 @@ DOORS = {
     "rosbags": {"simgap/formats/bag_messages.py"},
     "mujoco": {
         *(f"simgap/simulators/mujoco/{name}.py" for name in ("attributes", "build", "changing", "engine", "machine")),
-        *(f"simgap/simulators/mujoco/{name}.py" for name in ("patch", "payloads", "reading", "servo_errors", "steps")),
-        "simgap/simulators/mujoco/terms.py",
+        *(f"simgap/simulators/mujoco/{name}.py" for name in ("patch", "payloads", "reading", "ready", "servo_errors")),
+        *(f"simgap/simulators/mujoco/{name}.py" for name in ("split", "steps", "terms")),
         "tasks/sealed/sysid.py",  # another method, to compare with
     },
 }

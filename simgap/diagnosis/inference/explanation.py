@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from simgap.diagnosis.config import EXPLAINED, LIKELY
 from simgap.diagnosis.hypotheses.support import ALWAYS, Support
@@ -15,6 +16,28 @@ from simgap.diagnosis.inference.whiteness import Whiteness, named_share
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere
+from simgap.engines import Term
+
+
+class Hidden(NamedTuple):
+    """A hidden state behind a joint that explains the recordings better than what was found there.
+
+    term: what it is and where. value, ci95: of its constant, in the term's unit. odds: probability of each id. gain:
+    over the model without what it replaces [nats]. heldout_gain: over what was found, on held-out rows [nats]. named:
+    whether it is named. replaces: names of the effects that stand in for it. phi, phi_sd: parameters fitted with it,
+    and their standard deviations.
+    """
+
+    term: Term
+    value: float
+    ci95: tuple[float, float]
+    odds: dict[str, float]
+    gain: float
+    heldout_gain: float
+    named: bool
+    replaces: tuple[str, ...]
+    phi: Float[np.ndarray, " p"]
+    phi_sd: Float[np.ndarray, " p"]
 
 
 class Explanation(NamedTuple):
@@ -26,7 +49,7 @@ class Explanation(NamedTuple):
     apart from the effects. unseen: held-out rows with the gates of the supports. supports: of effects that do not act
     throughout. rounds: the hypotheses tried. baseline: number of its sessions. With any, `whiteness` is what exceeds
     theirs, and no nonparametric law is searched for. unsettled: ids of effects that the search before did not find,
-    although it was the last one.
+    although it was the last one. hidden: states behind joints that the simulator has no word for.
     """
 
     problem: Problem
@@ -43,6 +66,11 @@ class Explanation(NamedTuple):
     rounds: list[Round]
     baseline: int
     unsettled: frozenset[str] = frozenset()
+    hidden: tuple[Hidden, ...] = ()
+
+    def stands_in(self, member: Member) -> bool:
+        """Whether an effect only stands in for a hidden state that is named."""
+        return any(h.named and member.hypothesis.name in h.replaces for h in self.hidden)
 
     def names(self, member: Member) -> bool:
         """Whether an effect explains its outputs, rather than being only the closest match.
@@ -57,6 +85,14 @@ class Explanation(NamedTuple):
         nameless = np.maximum(self.whiteness.nats, self.law.nats(self.fit))
         share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
         return share >= EXPLAINED and differs_from_zero(self.problem, self.fit, member.hypothesis, self.sd)
+
+    @property
+    def parameters(self) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """The fitted parameters and their standard deviations: those with a named hidden state, if there is one."""
+        for h in self.hidden:
+            if h.named:
+                return h.phi, h.phi_sd
+        return np.asarray(self.fit.v.phi, float), self.sd.phi
 
     @property
     def anything(self) -> bool:

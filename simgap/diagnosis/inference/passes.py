@@ -6,6 +6,7 @@ A simulator whose step is a JAX function and whose states are all measured needs
 import numpy as np
 
 from simgap.diagnosis.config import CONFIRMED
+from simgap.diagnosis.inference.behind_joints import behind_joints
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, settled
@@ -45,7 +46,7 @@ def explained(
         if before is not None and latest is not None:
             latest = latest._replace(unsettled=frozenset(latest.ids - before.ids))
     assert latest is not None  # there is a first pass
-    return confirmed(latest, report), sessions
+    return behind_joints(confirmed(latest, report), report), sessions
 
 
 def _same(before: Explanation, latest: Explanation) -> bool:

@@ -43,7 +43,8 @@ def parameters_of(found: Explanation) -> dict[str, Any]:
     simulator = found.problem.augmented.simulator
     names = [p.name for p in simulator.parameters]
     low, high = np.array([(p.low, p.high) for p in simulator.parameters], float).reshape(-1, 2).T
-    phi, width = np.asarray(found.fit.v.phi, float), Z95 * found.sd.phi
+    phi, sd = found.parameters
+    width = Z95 * sd
     ends = (phi - width, phi + width)
     nominal = np.asarray(found.nominal.v.phi, float)
     nominal, fitted, *ends = (np.clip(a, low, high).tolist() for a in (nominal, phi, *ends))

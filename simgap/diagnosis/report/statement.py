@@ -27,6 +27,7 @@ from simgap.diagnosis.report.answers import (
     untested_of,
 )
 from simgap.diagnosis.report.experiment import Experiment
+from simgap.diagnosis.report.hidden_states import hidden_effects, notes
 from simgap.diagnosis.report.located import excess, located
 from simgap.diagnosis.report.schema import NO_LIMITS, SCHEMA
 from simgap.diagnosis.validation import scores
@@ -76,6 +77,7 @@ def statement(
     whiteness = whiteness_of(problem, found.base, found.baseline) if verdict == "unexplained" else found.whiteness
     members = [(m, _effect(found, m, sessions.fitted)) for m in found.members]
     effects = [e for (_, e), named in zip(members, concluded.named, strict=True) if named]
+    effects += hidden_effects(found) if verdict == "missing_physics" else []
     matches = [possible and not named for possible, named in zip(concluded.possible, concluded.named, strict=True)]
     closest = [e for (m, e), match in zip(members, matches, strict=True) if match and _matches(found, m, e)]
     noise_effects = [_noise_effect(s) for s in found.noise_effects]
@@ -108,7 +110,7 @@ def statement(
             "worse": [{"model": b, "than": a, "at": at} for (a, b), at in concluded.worse_at.items() if at],
         },
         "sensitivity": sensitivity_of(outcome.seen), "rounds": rounds_of(found), "untested": untested_of(found),
-        "notes": notes_of(found, sessions),
+        "notes": [*notes_of(found, sessions), *notes(found)],
     }  # fmt: skip
     content |= {"insufficient": wording.insufficient(content)}
     return {**content, "warnings": wording.warnings(content), "statement": wording.statement(content)}

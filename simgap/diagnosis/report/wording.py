@@ -225,8 +225,8 @@ def sized(visible: dict[str, Any]) -> str:
 def _improvement(diagnosis: dict[str, Any]) -> str:
     """Improvement over the simulator as it is or refitted, whichever is better, at the longest horizon."""
     models, names = diagnosis["fit"]["models"], {"nominal": nominal(diagnosis), "refitted": "refitted"}
-    if "augmented" not in models:
-        return ""
+    if "augmented" not in models or any("parameters" in e for e in diagnosis["effects"]):
+        return ""  # what stands in for a hidden state is no improvement to speak of
     longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
     better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
     before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))

@@ -59,12 +59,19 @@ def conclude(
     pairs = [("nominal", "refitted"), *([("nominal", "augmented"), ("refitted", "augmented")] if found.members else [])]
     worse = {pair: scores.worse_at(heldout[pair[0]], heldout[pair[1]], rng) for pair in pairs}
     # A law with which forecasts diverge cannot be physical, however well it predicts the next row.
-    possible = tuple(not any(scores.explodes(a, b) for a, b in _pairs(judged, i)) for i in range(len(named)))
+    possible = tuple(
+        not found.stands_in(m) and not any(scores.explodes(a, b) for a, b in _pairs(judged, i))
+        for i, m in enumerate(found.members)
+    )
     # A refit that forecasts worse than the simulator before it was led astray by what the simulator lacks.
     misled = bool(worse["nominal", "refitted"]) and bool(found.noise_effects)
     more = any(possible) or share is not None or bool(beaten) or misled
-    verdict = _verdict(found, any(named), more, moved, seen)
-    something_else = low_share or bool(beaten) or any(p and not n for p, n in zip(possible, named, strict=True))
+    hidden = any(h.named for h in found.hidden)
+    verdict = _verdict(found, any(named) or hidden, more, moved, seen)
+    # Forecasts have what stands in for a hidden state, so what these lack may be the hidden state.
+    something_else = (not hidden and (low_share or bool(beaten))) or any(
+        p and not n for p, n in zip(possible, named, strict=True)
+    )
     return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved)
 
 
@@ -92,7 +99,7 @@ def _is_named(found: Explanation, judged: Judgement, i: int, low_share: bool, rn
     while something is left without a name.
     """
     m, pairs = found.members[i], _pairs(judged, i)
-    if m.hypothesis.effect.id in found.unsettled:
+    if m.hypothesis.effect.id in found.unsettled or found.stands_in(m):
         return False
     # Where something unnamed is left, a gain of the likelihood alone may be that of a law which stands in for it.
     left_over = low_share or found.whiteness.nats.any() or found.law.terms

@@ -13,12 +13,14 @@ from jaxtyping import Float
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.report.names import number
 from simgap.effects.augmented import Augmented
+from simgap.effects.behind_joints import BEHIND_JOINTS
 from simgap.effects.stepping import terms_of
 from simgap.engines import Engine, Term
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.patch import Patched, patch
 from simgap.simulators.mujoco.replay import rescaling
 from simgap.simulators.mujoco.servo_errors import servo_errors, words
+from simgap.simulators.mujoco.split import as_mjcf
 from simgap.types import Recording, SimgapError
 
 if TYPE_CHECKING:
@@ -106,17 +108,22 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
     matches, whose names are not certain. SimgapError where the model cannot be compiled.
     """
     own, late, unwritten = {(term.effect, term.form) for term in engine.terms}, {kind: {} for kind in LATE}, []
+    spec = engine.source.spec
     for effect in statement["effects"]:
         always = effect["support"]["kind"] in ("always", "since_baseline")  # the model is of the machine as it is now
         if always and effect["id"] in late:
             (constant,) = effect["constants"]
             late[effect["id"]] |= {name.removeprefix("cmd_"): constant["value"] for name in effect["channels"]}
+        elif effect["id"] in BEHIND_JOINTS:
+            unwritten.append(as_mjcf(spec, effect["where"], effect["id"], effect["constants"][0]["value"]))
         elif not always or (effect["id"], effect["form"]) not in own:
             unwritten.append(f"{effect['statement']} {'MJCF cannot express it.' if always else NOT_ALWAYS}")
     unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["closest_matches"]]
     terms = _terms(engine, model)
     named = [any(_is_of(term, e, engine.terms) for e in statement["effects"]) for term in engine.terms]
-    written = patch(engine, model.phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
+    # A hidden state's own parameters: those of the model make up for it.
+    phi = next((np.array(e["parameters"]) for e in statement["effects"] if e["id"] in BEHIND_JOINTS), model.phi)
+    written = patch(engine, phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
     return Patched(written.xml, written.changes, (*written.unwritten, *unwritten))
 
 

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from simgap.diagnosis.report.names import number
-from simgap.simulators.mujoco.machine import AFFINE, Actuator, Joint, Machine, acts_on, count
+from simgap.simulators.mujoco.machine import AFFINE, Machine, acts_on, count
+from simgap.simulators.mujoco.parts import Actuator, Joint
 from simgap.simulators.mujoco.payloads import PREFIX
 from simgap.types import Parameter
 

@@ -14,13 +14,9 @@ from simgap.simulators.mujoco.attributes import parameters
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.machine import machine
 from simgap.simulators.mujoco.reading import NO_SERVOS, Servos, compiled, read
+from simgap.simulators.mujoco.ready import ready
 from simgap.simulators.mujoco.steps import accurate
 from simgap.simulators.mujoco.terms import switches
-
-TOLERANCE = 1e-12
-"""Tolerance of the constraint solver: friction must be differentiable by finite differences."""
-ITERATIONS = 200
-"""Maximum number of iterations of the solver and of its line search."""
 
 
 def load(
@@ -45,26 +41,7 @@ def load(
     source = read(model, servos)
     plain = compiled(source.spec)
     robot = machine(plain, columns)
-    ready = _ready(source.spec, payloads.places(plain, robot))
-    scaled, switched = parameters(ready, robot), switches(ready, robot, time_step)
-    engine = MujocoEngine(source, ready, robot, time_step, 1, 1, 1, scaled, switched, np.zeros(len(scaled)))
+    prepared = ready(source.spec, payloads.places(plain, robot))
+    scaled, switched = parameters(prepared, robot), switches(prepared, robot, time_step)
+    engine = MujocoEngine(source, prepared, robot, time_step, 1, 1, 1, scaled, switched, np.zeros(len(scaled)))
     return accurate(engine)
-
-
-def _ready(source: mujoco.MjSpec, carriers: dict[str, tuple[float, float, float]]) -> mujoco.MjModel:
-    """A compiled model in which every term can be switched on, and whose next state depends on no hidden state."""
-    spec = source.copy()
-    for carrier, centre in carriers.items():
-        payloads.add(spec, payloads.PREFIX + carrier, carrier, centre, 0.0)
-    compensation = [body.gravcomp for body in spec.bodies]
-    for body in spec.bodies[1:]:
-        body.gravcomp = 1.0  # MuJoCo skips the whole computation where no body has any
-    for actuator in spec.actuators:
-        actuator.delay, actuator.nsample = 0.0, 0  # a delay acts on commands, outside the engine
-    model = compiled(spec)
-    model.body_gravcomp[:] = compensation
-    option = model.opt
-    option.solver, option.tolerance, option.ls_tolerance = mujoco.mjtSolver.mjSOL_NEWTON, TOLERANCE, TOLERANCE
-    option.iterations = option.ls_iterations = ITERATIONS
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-    return model

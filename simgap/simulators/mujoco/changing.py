@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.simulators.mujoco.attributes import Scaled
-from simgap.simulators.mujoco.terms import Added, Switch, Timed, force_range
+from simgap.simulators.mujoco.terms import Added, Deflecting, Switch, Timed, force_range
 
 if TYPE_CHECKING:
     from simgap.simulators.mujoco.engine import MujocoEngine
@@ -21,6 +21,8 @@ HELD = 1e10
 """Armature of a joint that is held still: no torque moves it."""
 _WITHOUT_SLOTS = {"actuator_forcerange", "actuator_forcelimited", "dof_armature"}
 """Arrays that force limits and joints that are held still change."""
+DAMPED = 0.05
+"""Damping ratio of a spring between motor and link: that of a metal gear; the recordings hardly show it."""
 
 
 def arrays(scaled: Sequence[Scaled], switches: Sequence[Switch]) -> tuple[str, ...]:
@@ -50,8 +52,20 @@ def apply(
                 getattr(model, slot.array)[slot.index] += value
         elif isinstance(switch, Timed):
             model.opt.timestep += value / engine.steps
+        elif isinstance(switch, Deflecting):
+            _deflect(model, switch, float(value))
         elif value > 0:
             model.actuator_forcerange[switch.index] = force_range(own, switch.index, value)
             model.actuator_forcelimited[switch.index] = True
     mujoco.mj_setConst(model, data)  # what MuJoCo derives from masses and armatures
     model.dof_armature[list(engine.machine.held)] += HELD
+
+
+def _deflect(model: mujoco.MjModel, switch: Deflecting, value: float) -> None:
+    """Set the gap of a split joint, or its spring. At zero it hardly moves."""
+    if switch.term.effect == "link_backlash":
+        model.jnt_range[switch.index] = -value, value
+        return
+    stiffness = 1 / max(value, switch.term.low)
+    model.jnt_stiffness[switch.index] = stiffness
+    model.dof_damping[switch.dof] = 2 * DAMPED * np.sqrt(stiffness * switch.inertia)

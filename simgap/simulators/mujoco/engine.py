@@ -18,6 +18,7 @@ from simgap.simulators.mujoco.attributes import WIDE, WIDE_IF_FAR, Scaled
 from simgap.simulators.mujoco.changing import apply, arrays
 from simgap.simulators.mujoco.machine import Machine
 from simgap.simulators.mujoco.reading import Source
+from simgap.simulators.mujoco.split import deflecting
 from simgap.simulators.mujoco.terms import Switch
 from simgap.types import Parameter, Schema
 
@@ -88,6 +89,10 @@ class MujocoEngine:
         model = copy.copy(self.model)
         model.opt.timestep = self.time_step / self.rough_steps
         return replace(self, model=model, steps=self.rough_steps)
+
+    def split(self, joint: str) -> "tuple[MujocoEngine, ...]":
+        """Rivals with play or a spring between motor and link of a joint; see `engines.split_of`."""
+        return deflecting(self, joint)
 
     def words(self, phi: Float[np.ndarray, " p"]) -> list[str]:
         """The model's parameters and the fitted ones, in physical units."""
@@ -180,7 +185,21 @@ class MujocoEngine:
                 columns.append(qpos + joints[field.body].qpos)
             elif field.kind == "velocity":
                 columns.append(qvel + joints[field.body].dof)
-        return np.array([*columns, *(act + a.act for a in self.machine.actuators if a.act is not None)])
+        columns += [act + a.act for a in self.machine.actuators if a.act is not None]
+        split = self.machine.deflection
+        return np.array(columns if split is None else [*columns, qpos + split.qpos, qvel + split.dof])
+
+    @cached_property
+    def _shown(self) -> Float[np.ndarray, "s s"]:
+        """What the states of the schema are of MuJoCo's: `states = columns @ shown`."""
+        shown, split = np.eye(len(self.schema.state)), self.machine.deflection
+        if split is not None:
+            shown[-1, -1] = self.time_step
+            names = [f.name for f in self.schema.state]
+            joint = self.machine.joints[split.joint].name
+            if split.at_link:
+                shown[[-2, -1], [names.index(f"{joint}_pos"), names.index(f"{joint}_vel")]] = 1.0
+        return shown
 
     def _offset(self, part: str) -> int:
         """Index in MuJoCo's full state at which a part of it begins: parts come in the order of their bits."""
@@ -203,7 +222,7 @@ class MujocoEngine:
     ) -> Float[np.ndarray, "n t/every s"]:
         """The states after each `every` steps; NaN from where MuJoCo gave up."""
         full = np.tile(self._rest, (len(state), 1))
-        full[:, self._columns] = state
+        full[:, self._columns] = np.linalg.solve(self._shown.T, state.T).T
         self._follow(full)
         inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
         inputs[..., : self.model.nu] = self.machine.controls
@@ -216,7 +235,7 @@ class MujocoEngine:
         timestep = worker.model.opt.timestep
         clock = self._rest[0] + timestep * np.arange(every, command.shape[1] + 1, every)
         lost = np.abs(taken[..., 0] - clock) > timestep / 2
-        return np.where(lost[..., None], np.nan, taken[..., self._columns])
+        return np.where(lost[..., None], np.nan, taken[..., self._columns] @ self._shown)
 
     def _follow(self, full: Float[np.ndarray, "n full"]) -> None:
         """Put joints that follow others where the equality constraint requires."""

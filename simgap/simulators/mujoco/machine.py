@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from simgap.types import Axis, Field, Kind, Schema, SimgapError
+from simgap.simulators.mujoco.parts import Actuator, Deflection, Follower, Joint
+from simgap.types import Field, Kind, Schema, SimgapError
 
 # A model's arrays hold integers, for which `x in (enum, ...)` is false.
 HINGE, SLIDE, FREE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("HINGE", "SLIDE", "FREE"))
@@ -20,61 +21,12 @@ _TIED = int(mujoco.mjtEq.mjEQ_JOINT)
 
 
 @dataclass(frozen=True)
-class Joint:
-    """A joint with one degree of freedom, whose position is recorded. qpos, dof: its indices in MuJoCo's vectors."""
-
-    name: str
-    index: int
-    qpos: int
-    dof: int
-    hinge: bool
-    speed_recorded: bool
-
-    @property
-    def effort(self) -> str:
-        """Unit of the force along it."""
-        return "N m" if self.hinge else "N"
-
-    @property
-    def unit(self) -> str:
-        """Unit of its position."""
-        return "rad" if self.hinge else "m"
-
-    @property
-    def axis(self) -> Axis:
-        """Its axis in the schema."""
-        return "yaw" if self.hinge else "x"
-
-
-@dataclass(frozen=True)
-class Actuator:
-    """An actuator whose command is recorded. joint: the one it acts on, if any. control, act: indices in MuJoCo's
-    vectors of its control and of its own state, if it has one."""
-
-    name: str
-    index: int
-    control: int
-    act: int | None
-    kind: Kind
-    joint: Joint | None
-
-
-@dataclass(frozen=True)
-class Follower:
-    """A joint that an equality constraint ties to another, its leader: its offset is a polynomial of the leader's."""
-
-    qpos: int
-    dof: int
-    leader: int
-    polynomial: tuple[float, ...]
-
-
-@dataclass(frozen=True)
 class Machine:
     """The part of a model that a diagnosis works on.
 
     held: degrees of freedom that are held still at the `reference`, a vector of positions. controls: values for
-    actuators whose command is not recorded. notes: what cannot be diagnosed, in words.
+    actuators whose command is not recorded. notes: what cannot be diagnosed, in words. deflection: of the joint that is
+    split into motor and link, if one is.
     """
 
     joints: tuple[Joint, ...]
@@ -84,10 +36,11 @@ class Machine:
     reference: Float[np.ndarray, " nq"]
     controls: Float[np.ndarray, " nu"]
     notes: tuple[str, ...]
+    deflection: Deflection | None = None
 
     @property
     def schema(self) -> Schema:
-        """Positions, recorded velocities, other velocities, states of actuators; and the commands."""
+        """Positions, recorded velocities, other velocities, states of actuators, deflection; and the commands."""
         position = [Field(f"{j.name}_pos", j.unit, "position", "body", j.name, j.axis) for j in self.joints]
         velocity = [
             Field(f"{j.name}_vel", f"{j.unit}/s", "velocity", "body", j.name, j.axis, j.speed_recorded, j.effort)
@@ -96,6 +49,11 @@ class Machine:
         slow = [a.name for a in self.actuators if a.act is not None]
         hidden = [Field(f"act_{name}", "-", "force", "body", observed=False) for name in slow]
         velocity.sort(key=lambda f: not f.observed)
+        if self.deflection is not None:
+            joint = self.joints[self.deflection.joint]
+            # Their kind is none that a law of motion acts on. The change per row has the unit of an innovation.
+            hidden += [Field(f"{joint.name}_{what}", joint.unit, "force", "body", joint.name, joint.axis, False)
+                       for what in ("deflection", "deflection_per_row")]  # fmt: skip
         return Schema((*position, *velocity, *hidden), tuple(_command(a) for a in self.actuators))
 
 

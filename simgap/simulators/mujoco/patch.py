@@ -17,7 +17,8 @@ from simgap.simulators.mujoco import payloads
 from simgap.simulators.mujoco.attributes import Slot
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.reading import compiled
-from simgap.simulators.mujoco.terms import Added, Limited, Timed, force_range
+from simgap.simulators.mujoco.split import as_mjcf
+from simgap.simulators.mujoco.terms import Added, Deflecting, Limited, Timed, force_range
 
 _NONE = int(mujoco.mjtDyn.mjDYN_NONE)
 
@@ -100,6 +101,8 @@ def _switched(
             changes.append(_limit(engine, spec, switch, value))
         elif isinstance(switch, Timed):
             unwritten.append(f"rows {engine.time_step + value:.6g} s apart: that is a matter of the recordings")
+        elif isinstance(switch, Deflecting):
+            unwritten.append(as_mjcf(engine.source.spec, switch.term.where, switch.term.effect, value))
         elif switch.term.effect == "payload" and spec.compiler.settotalmass > 0:
             unwritten.append(f"payload of {value:.6g} kg at {switch.term.where}: the model sets its total mass")
         elif switch.term.effect == "payload":

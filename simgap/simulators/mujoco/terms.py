@@ -13,7 +13,8 @@ from simgap.effects.timing import MISTIMED
 from simgap.engines import Term
 from simgap.simulators.mujoco import payloads
 from simgap.simulators.mujoco.attributes import Slot, gravcomp_slots, joint_slots, unit
-from simgap.simulators.mujoco.machine import Joint, Machine
+from simgap.simulators.mujoco.machine import Machine
+from simgap.simulators.mujoco.parts import Joint
 
 SPEED = {True: 1.0, False: 0.2}
 """Typical speed of a hinge [rad/s] and of a slide [m/s]: it turns a typical torque into a typical damping."""
@@ -49,7 +50,20 @@ class Timed:
     term: Term
 
 
-Switch = Added | Limited | Timed
+@dataclass(frozen=True)
+class Deflecting:
+    """A term whose constant is the gap (+-, at stiff stops) or the compliance of the deflection of a split joint.
+
+    index, dof: of the deflection. inertia: of the link behind it, by which the spring is damped [kg m^2, kg].
+    """
+
+    term: Term
+    index: int
+    dof: int
+    inertia: float
+
+
+Switch = Added | Limited | Timed | Deflecting
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,37 @@
+"""Hidden states behind joints, in the layout of diagnosis.json and in words."""
+
+from typing import Any
+
+from simgap.diagnosis.inference.explanation import Explanation, Hidden
+from simgap.diagnosis.report.answers import credible_set
+from simgap.diagnosis.report.names import listed, quantity, title
+from simgap.diagnosis.report.schema import NO_LIMITS
+
+
+def hidden_effects(found: Explanation) -> list[dict[str, Any]]:
+    """The hidden states that are named, as effects; `parameters`: those of the simulator, fitted with it."""
+    return [_effect(h) | {"parameters": h.phi.tolist()} for h in found.hidden if h.named]
+
+
+def _effect(h: Hidden) -> dict[str, Any]:
+    term = h.term
+    constant = {"name": term.constant, "value": h.value, "unit": term.unit, "ci95": list(h.ci95)}
+    text = term.says.format(**{term.constant: quantity(constant)})
+    return {
+        "id": term.effect, "form": term.form, "where": term.where, "probability": h.odds[term.effect],
+        "channels": list(term.channels), "outputs": list(term.outputs),
+        "statement": f"{text[0].upper()}{text[1:]} ({term.where}; its encoder is at the {term.form}).",
+        "constants": [constant], "credible_set": credible_set(h.odds), "gain_nats": h.gain, "misfit_nats": 0.0,
+        "heldout_gain_nats": h.heldout_gain, "support": NO_LIMITS | {"kind": "always"},
+    }  # fmt: skip
+
+
+def notes(found: Explanation) -> list[str]:
+    """What stands in for a named hidden state in the simulator with the effects."""
+    return [
+        f"The simulator has no state for {title(h.term.effect)} at {h.term.where}: in forecasts and in the corrected "
+        f"simulator, {listed([title(name) for name in h.replaces]) if h.replaces else 'nothing'} stands in for it. "
+        "The parameters, also in a patched model, are those fitted with it. Effects on the noise were not searched for."
+        for h in found.hidden
+        if h.named
+    ]

@@ -1,0 +1,23 @@
+"""Effects with a hidden state between the motor and the link of a joint, which engines may have as rivals.
+
+They are no laws of an augmented simulator, since their state is not in its schema (see `engines.split_of`).
+"""
+
+from typing import NamedTuple
+
+
+class BehindJoint(NamedTuple):
+    """Name and unit of the constant (`{u}`: unit of the position, `{force}`: of the effort), and a sentence."""
+
+    constant: str
+    unit: str
+    says: str
+
+
+BEHIND_JOINTS = {
+    "link_backlash": BehindJoint("gap", "{u}", "play: the link moves by {gap} to either side against its motor"),
+    "elastic_joint": BehindJoint(
+        "stiffness", "{force}/{u}", "an elastic joint: a spring of {stiffness} between motor and link"
+    ),
+}
+"""By id."""
