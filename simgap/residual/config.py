@@ -1,8 +1,31 @@
 """Hyperparameters of the model with a residual."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Protocol
 
 from simgap.types import ConfigError
+
+
+class Training(Protocol):
+    """Of the hyperparameters of a fit with held-out sessions, those whose relations are checked."""
+
+    @property
+    def heldout_share(self) -> float: ...
+    @property
+    def training_steps(self) -> int: ...
+    @property
+    def evaluate_every(self) -> int: ...
+
+
+def check(config: Training) -> None:
+    """Raise ConfigError unless all values are above 0 and those of the training fit together."""
+    for name, value in vars(config).items():
+        if not value or min(value if isinstance(value, tuple) else (value,)) <= 0:
+            raise ConfigError(f"{name} is {value}; it must be above 0.")
+    if config.heldout_share >= 1:
+        raise ConfigError(f"heldout_share is {config.heldout_share}; it must be below 1.")
+    if config.evaluate_every > config.training_steps:
+        raise ConfigError(f"evaluate_every is {config.evaluate_every}; it must be at most training_steps.")
 
 
 @dataclass(frozen=True)
@@ -32,14 +55,7 @@ class Config:
     horizon: int
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not value or min(value if isinstance(value, tuple) else (value,)) <= 0:
-                raise ConfigError(f"{field.name} is {value}; it must be above 0.")
-        if self.heldout_share >= 1:
-            raise ConfigError(f"heldout_share is {self.heldout_share}; it must be below 1.")
-        if self.evaluate_every > self.training_steps:
-            raise ConfigError(f"evaluate_every is {self.evaluate_every}; it must be at most training_steps.")
+        check(self)
 
     @property
     def scales(self) -> list[tuple[float, float]]:

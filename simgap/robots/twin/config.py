@@ -1,7 +1,8 @@
 """Hyperparameters of a twin."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
+from simgap.residual.config import check
 from simgap.types import ConfigError
 
 
@@ -30,13 +31,6 @@ class Config:
     replays: int
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not value or min(value if isinstance(value, tuple) else (value,)) <= 0:
-                raise ConfigError(f"{field.name} is {value}; it must be above 0.")
-        if self.heldout_share >= 1:
-            raise ConfigError(f"heldout_share is {self.heldout_share}; it must be below 1.")
-        if self.evaluate_every > self.training_steps:
-            raise ConfigError(f"evaluate_every is {self.evaluate_every}; it must be at most training_steps.")
+        check(self)
         if self.folds < 2:
             raise ConfigError("folds is 1; sessions that are held out need at least 2.")
