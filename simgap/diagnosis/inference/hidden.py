@@ -25,6 +25,9 @@ PHI, GAIN, SIZE = 0.01, 0.01, 0.03
 They are wide: stops make the innovations jagged in all of these."""
 ITERATIONS = 8
 """Gauss-Newton steps, at most, of a fit; most end before, where a step gains too little."""
+SEARCHED = 10
+"""Segments, at regular intervals, on which rivals are searched for: play and springs gain hundreds of nats there, and
+each of some hundred trials steps the engine through all of them. Only the last step of a fit takes all segments."""
 
 
 class Gains(NamedTuple):
@@ -119,12 +122,13 @@ class Search(NamedTuple):
         """The rival after Gauss-Newton steps with the weights of its noise. base: see `Gains`."""
         for _ in range(ITERATIONS):
             before = state
-            state = self._step(state)
+            state = self.step(state)
             if state.loglik - before.loglik < settled(state.loglik - base):
                 break
         return state
 
-    def _step(self, state: State) -> State:
+    def step(self, state: State) -> State:
+        """One Gauss-Newton step."""
         h = self.steps(state.at)
         ends = [self.fit(self.moved(state.at, row)).e for row in np.diag(h)]
         columns = np.stack([(e - state.e) / width for e, width in zip(ends, h, strict=True)])
@@ -155,27 +159,58 @@ def fitted(problem: Problem, v: Variables, engines: Sequence[Engine], gains: Gai
     that is promising, the parameters too. v: the model without the effects that the rivals replace; its command paths
     and other terms stay as they are.
     """
-    given, best = driven(problem, v), {}
+    few, best = _thinned(problem), {}
+    given, gains_of_few = driven(few, v), _share(few, problem, gains)
     for engine in engines:
-        search, gain = _search(problem, engine, given), _gain(problem, v, engine)
-        # The parameters in v may make up for what the rival explains, so those of the simulator are tried too.
-        phis = [np.asarray(phi, float) for phi in (v.phi, problem.augmented.nominal)]
-        sizes = np.log(engine.terms[-1].starts).tolist()
-        states = [search.fit(Point(phi, gain, size)) for phi in phis for size in sizes]
-        state, effect = max(states, key=lambda s: s.loglik), engine.terms[-1].effect
+        search = _search(few, engine, given)
+        state, effect = _best_start(search, v, _gain(problem, v, engine)), engine.terms[-1].effect
         if effect not in best or state.loglik > best[effect][1].loglik:
             best[effect] = search, state
-    found = [(search, search.climbed(state, gains.base)) for search, state in best.values()]
-    most = max([gains.found, *(s.loglik for _, s in found)])
-    least = gains.base + CONTENDER * (most - gains.base)
-    ends = [search._replace(full=True).climbed(s, gains.base) if s.loglik > least else s for search, s in found]
+    found = [(search, search.climbed(state, gains_of_few.base)) for search, state in best.values()]
+    most = max([gains_of_few.found, *(s.loglik for _, s in found)])
+    least = gains_of_few.base + CONTENDER * (most - gains_of_few.base)
+    ends, whole = [], driven(problem, v)
+    for search, state in found:
+        on_all = search._replace(problem=problem, given=whole, full=True)
+        if state.loglik > least:
+            end = search._replace(full=True).climbed(state, gains_of_few.base)
+            ends.append(on_all.step(on_all.fit(end.at)))
+        else:
+            ends.append(on_all.fit(state.at))
     return sorted((s for s in ends if np.isfinite(s.loglik)), key=lambda s: -s.loglik)
+
+
+def _best_start(search: Search, v: Variables, gain: Float[np.ndarray, "s+h o"]) -> State:
+    """The likeliest of the sizes at which a search starts; also with the parameters of the simulator, since those in v
+    may make up for what the rival explains."""
+    sizes = np.log(search.engine.terms[-1].starts).tolist()
+    states = [search.fit(Point(np.asarray(v.phi, float), gain, size)) for size in sizes]
+    state = max(states, key=lambda s: s.loglik)
+    nominal = np.asarray(search.problem.augmented.nominal, float)
+    return max(state, search.fit(state.at._replace(phi=nominal)), key=lambda s: s.loglik)
+
+
+def _thinned(problem: Problem) -> Problem:
+    """The problem with `SEARCHED` of its segments scored, at most."""
+    counts = np.array(problem.chunks.counts)
+    scored = np.flatnonzero(counts.any(1))
+    kept = scored[np.linspace(0, len(scored) - 1, min(SEARCHED, len(scored))).round().astype(int)]
+    counts[np.setdiff1d(scored, kept)] = False
+    return problem._replace(chunks=problem.chunks._replace(counts=counts))
+
+
+def _share(few: Problem, problem: Problem, gains: Gains) -> Gains:
+    """Log-likelihoods in proportion to the rows that are scored."""
+    share = np.asarray(few.chunks.counts).sum() / np.asarray(problem.chunks.counts).sum()
+    return Gains(*(float(share * g) for g in gains))
 
 
 def refitted(problem: Problem, v: Variables, state: State, base: float) -> State:
     """A rival fitted on, with other command paths and terms of the engine, those in v. base: see `Gains`."""
-    search = _search(problem, state.engine, driven(problem, v))._replace(full=True)
-    return search.climbed(search.fit(state.at), base)
+    few, on_all = _thinned(problem), _search(problem, state.engine, driven(problem, v))._replace(full=True)
+    search = on_all._replace(problem=few, given=driven(few, v))
+    end = search.climbed(search.fit(state.at), _share(few, problem, Gains(base, base)).base)
+    return on_all.step(on_all.fit(end.at))
 
 
 def _gain(problem: Problem, v: Variables, engine: Engine) -> Float[np.ndarray, "s+h o"]:

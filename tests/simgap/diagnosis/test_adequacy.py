@@ -97,7 +97,7 @@ def test_noise_about_a_refit_that_forecasts_worse_is_no_finding(refit: float, ve
     heldout = {"nominal": judged(noise(0)), "refitted": judged(refitted), "black_box": judged(refitted)}
     nothing: Any = SimpleNamespace(nats=np.zeros(1), terms=())
     found: Any = SimpleNamespace(members=(), noise_effects=[SimpleNamespace(predictable=False)], baseline=0,
-                                 whiteness=nothing, law=nothing)  # fmt: skip
+                                 hidden=(), whiteness=nothing, law=nothing)  # fmt: skip
     seen: Any = SimpleNamespace(few=False, undetectable_effects=(), unexcited_channels=())
     rng = np.random.default_rng(0)
     assert conclude(found, Judgement(heldout, heldout, ()), seen, None, rng).verdict == verdict
@@ -115,7 +115,7 @@ def test_what_improves_no_forecast_has_no_name_while_something_is_left(
     member = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="sensor_scale")))
     found: Any = SimpleNamespace(
         members=[member], unsettled=frozenset(), names=lambda _: True, law=SimpleNamespace(terms=()),
-        whiteness=SimpleNamespace(nats=np.array([float(left_over)])),
+        whiteness=SimpleNamespace(nats=np.array([float(left_over)])), stands_in=lambda _: False,
     )  # fmt: skip
     of = Judgement({"augmented": augmented}, {"augmented": augmented}, ((without, without),))
     assert adequacy._is_named(found, of, 0, False, np.random.default_rng(0)) == named
