@@ -93,8 +93,8 @@ def _without_companions(found: Explanation, contest: _Contest, report: Reporter)
 
 
 def _places(found: Explanation, own: Fit) -> dict[str, list[Member]]:
-    """Joints at which something was found, each with the effects that gain most there; first the one where effects and
-    predictable residuals gain most."""
+    """Joints at which effects were found, with those that gain most there, and the one joint of the others whose
+    residuals can be predicted best; first where effects and predictable residuals gain most."""
     layout = found.problem.augmented.layout
     bodies = [f.body for f in layout.schema.outputs]
     # By the engine itself, which may have dropped an effect since.
@@ -106,8 +106,10 @@ def _places(found: Explanation, own: Fit) -> dict[str, list[Member]]:
         gains += gained
         places.get(bodies[int(gained.argmax())], []).append(m)
     total = {b: float(gains[[other == b for other in bodies]].sum()) for b in places}
-    rest = {b for b, nats in zip(bodies, white, strict=True) if nats}
-    return {b: places[b] for b in sorted(places, key=lambda b: -total[b]) if places[b] or b in rest}
+    left = {b: float(white[[other == b for other in bodies]].sum()) for b in places if not places[b]}
+    most = max(left, key=lambda b: left[b], default=None)  # one joint: a contest costs as much as a pass of the search
+    tried = [b for b in places if places[b] or (b == most and left[b] > 0)]
+    return {b: places[b] for b in sorted(tried, key=lambda b: -total[b])}
 
 
 def _with(found: Explanation, contest: _Contest) -> Explanation:
