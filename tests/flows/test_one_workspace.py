@@ -84,7 +84,6 @@ def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(tmp_pa
             assert first.poll() is None, (project / "output.txt").read_text()
             assert time.monotonic() < deadline
             time.sleep(0.1)
-        os.killpg(first.pid, signal.SIGSTOP)  # it holds its workspace as well at rest, and leaves the cores to others
         before = record.read_bytes()
         other = ("flows.train", "virtual", "--overrides", "other.yaml")
         status, output = ran(project, other, os.environ)

@@ -219,8 +219,8 @@ def models(**errors: float) -> dict[str, Any]:
 
 def test_the_headline_compares_with_the_better_of_nominal_and_refitted() -> None:
     fit = {"models": models(nominal=0.175, refitted=0.376, augmented=0.017)}
-    assert "from 17.5% (the simulator as it is) to 1.7%" in wording._improvement({"fit": fit})
-    started = wording._improvement({"fit": fit, "model_file": {"start": {"kp pan": 0.05}}})
+    assert "from 17.5% (the simulator as it is) to 1.7%" in wording._improvement({"fit": fit, "effects": []})
+    started = wording._improvement({"fit": fit, "effects": [], "model_file": {"start": {"kp pan": 0.05}}})
     assert "from 17.5% (the simulator as the search began) to 1.7%" in started
 
 
