@@ -89,4 +89,4 @@ def _verdicts(cause: str | None) -> list[str]:
     """Verdicts that are right."""
     if cause is None:
         return ["nothing", "parameters_only"]
-    return {"parameters": ["parameters_only"], "outside": ["unexplained"]}.get(CAUSES[cause].kind, ["missing_physics"])
+    return ["parameters_only"] if CAUSES[cause].kind == "parameters" else ["missing_physics"]

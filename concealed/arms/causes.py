@@ -26,7 +26,7 @@ Draw = Callable[[Design, Array, np.random.Generator], Drawn]
 
 
 class Cause(NamedTuple):
-    """A cause; the word that is right for it (none: a wrong parameter, or a law that no word describes), and why."""
+    """A cause; the words that are right for it (none: a wrong parameter), and why."""
 
     draw: Draw
     kind: str
@@ -107,7 +107,7 @@ def _springy(of: Design, command: Array, rng: np.random.Generator) -> Drawn:
     j = int(rng.integers(3))
     stiffness = of.stiffness[j] * rng.uniform(1.5, 4.0)
     gear = Gear(j, 0.0, stiffness, 0.1 * np.sqrt(stiffness * of.inertia[j]), 0.0, True)
-    return Drawn(replace(plain(of), gear=gear), (of.joints[j],))
+    return Drawn(replace(plain(of), gear=gear), (of.joints[j],), ("stiffness", float(stiffness), "N m/rad"))
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
@@ -128,10 +128,10 @@ CAUSES = {
     "force limit": Cause(_weak, "single", ("force_limit",), "a servo's torque is clipped"),
     "wrong kp": Cause(_soft_or_stiff, "parameters", (), "the user's model has another stiffness of a servo"),
     "wrong time step": Cause(_other_clock, "single", ("sampling_interval",), "a row lasts longer or shorter than said"),
-    "backlash": Cause(_worn, "single", ("backlash",),
+    "backlash": Cause(_worn, "single", ("link_backlash", "backlash"),
                       "the motor turns through a gap before it drags the link, where the encoder is"),
-    "elastic joint": Cause(_springy, "outside", (),
-                           "a spring between motor, where the encoder is, and link: no word has a state of its own"),
+    "elastic joint": Cause(_springy, "single", ("elastic_joint",),
+                           "a spring gives way between the motor, where the encoder is, and the link"),
 }  # fmt: skip
 """By what a person would say."""
 
@@ -142,6 +142,6 @@ def effects_of(name: str, drawn: Drawn) -> list[dict[str, Any]]:
     if cause.kind == "parameters":
         return []
     constants = [] if drawn.constant is None else [dict(zip(("name", "value", "unit"), drawn.constant, strict=True))]
-    return [{"id": cause.accept[0] if cause.accept else name, "accept": list(cause.accept), "why": cause.why,
+    return [{"id": cause.accept[0], "accept": list(cause.accept), "why": cause.why,
              "cause": name, "channels": [f"cmd_{j}" for j in drawn.joints], "outputs": [],
              "constants": constants}]  # fmt: skip

@@ -15,7 +15,9 @@ class BehindJoint(NamedTuple):
 
 
 BEHIND_JOINTS = {
-    "link_backlash": BehindJoint("gap", "{u}", "play: the link moves by {gap} to either side against its motor"),
+    "link_backlash": BehindJoint(
+        "gap", "{u}", "play: after a reversal the motor turns through a gap of {gap} before it drags the link"
+    ),
     "elastic_joint": BehindJoint(
         "stiffness", "{force}/{u}", "an elastic joint: a spring of {stiffness} between motor and link"
     ),

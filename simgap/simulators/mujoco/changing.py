@@ -64,7 +64,7 @@ def apply(
 def _deflect(model: mujoco.MjModel, switch: Deflecting, value: float) -> None:
     """Set the gap of a split joint, or its spring. At zero it hardly moves."""
     if switch.term.effect == "link_backlash":
-        model.jnt_range[switch.index] = -value, value
+        model.jnt_range[switch.index] = -value / 2, value / 2
         return
     stiffness = 1 / max(value, switch.term.low)
     model.jnt_stiffness[switch.index] = stiffness

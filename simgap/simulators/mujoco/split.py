@@ -28,8 +28,8 @@ from simgap.types import SimgapError
 if TYPE_CHECKING:
     from simgap.simulators.mujoco.engine import MujocoEngine
 
-GAPS = {True: (0.003, 0.006, 0.012, 0.025, 0.05), False: (3e-4, 6e-4, 1.2e-3, 2.5e-3, 5e-3)}
-"""Half gaps from which a search starts: of a hinge [rad], from a precise gear to a worn one; of a slide [m], the same
+GAPS = {True: (0.006, 0.012, 0.025, 0.05, 0.1), False: (6e-4, 1.2e-3, 2.5e-3, 5e-3, 0.01)}
+"""Gaps from which a search starts: of a hinge [rad], from a precise gear to a worn one; of a slide [m], the same
 at a lever of 0.1 m."""
 SHARES = (0.125, 0.25, 0.5, 1.0)
 """Natural frequencies of the link on its spring from which a search starts, as shares of the Nyquist frequency of the
@@ -115,14 +115,15 @@ def _one(engine: MujocoEngine, model: mujoco.MjModel, robot: Machine, effect: st
 
 
 def as_mjcf(spec: mujoco.MjSpec, joint: str, effect: str, constant: float) -> str:
-    """What to add to a model's XML by hand, for half the gap [rad, m] or the stiffness [N m/rad, N/m] at a joint.
+    """What to add to a model's XML by hand, for the gap [rad, m] or the stiffness [N m/rad, N/m] at a joint.
 
     It is not written into the patched model: recorded positions and keyframes would then belong to two joints.
     """
     own = spec.joint(joint)
     kind = "slide" if own.type == mujoco.mjtJoint.mjJNT_SLIDE else "hinge"
     axis, pos = (" ".join(f"{v:.6g}" for v in values) for values in (own.axis, own.pos))
-    turns = np.degrees(constant) if spec.compiler.degree and kind == "hinge" else constant
+    half = constant / 2
+    turns = np.degrees(half) if spec.compiler.degree and kind == "hinge" else half
     size = (
         f'limited="true" range="{-turns:.4g} {turns:.4g}"'
         if effect == "link_backlash"

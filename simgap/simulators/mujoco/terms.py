@@ -52,7 +52,7 @@ class Timed:
 
 @dataclass(frozen=True)
 class Deflecting:
-    """A term whose constant is the gap (+-, at stiff stops) or the compliance of the deflection of a split joint.
+    """A term whose constant is the gap between stiff stops or the compliance of the deflection of a split joint.
 
     index, dof: of the deflection. inertia: of the link behind it, by which the spring is damped [kg m^2, kg].
     """

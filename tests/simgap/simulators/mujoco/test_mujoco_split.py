@@ -62,16 +62,16 @@ def test_a_spring_is_that_of_a_second_joint_in_the_model(tmp_path: Path) -> None
 
 def test_the_link_moves_within_its_play_and_the_encoder_says_where_it_is_read(tmp_path: Path) -> None:
     plain = engine(tmp_path, arm())
-    gap, command = 0.02, np.zeros((100, 3))
+    half, command = 0.02, np.zeros((100, 3))
     command[:, 0] = 0.4 * np.sin(np.arange(100) / 6)
     paths = {}
     for at in ("link", "motor"):
         rival = rivals(plain, "pan")["link_backlash", at]
         terms = np.zeros(len(rival.terms))
-        terms[-1] = gap
+        terms[-1] = 2 * half
         paths[at] = rival.path(np.zeros(len(rival.parameters)), terms, np.zeros(8), command)
     deflection = paths["link"][:, -2]
-    assert gap < np.abs(deflection).max() < 1.5 * gap  # stops give a little
+    assert half < np.abs(deflection).max() < 1.5 * half  # stops give a little
     np.testing.assert_allclose(paths["link"][:, 0] - deflection, paths["motor"][:, 0], atol=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_only_engines_with_hidden_states_have_rivals() -> None:
 
 def test_the_line_for_the_model_is_mjcf_that_compiles(tmp_path: Path) -> None:
     plain = engine(tmp_path, arm())
-    words = as_mjcf(plain.source.spec, "lift", "link_backlash", 0.015)
+    words = as_mjcf(plain.source.spec, "lift", "link_backlash", 0.03)
     line = words[words.index("<joint") : words.index("/>") + 2]
     model = mujoco.MjModel.from_xml_string(arm().replace('armature=".01" />', 'armature=".01" />' + line))
     np.testing.assert_allclose(model.joint("lift_deflection").range, [-0.015, 0.015])
