@@ -124,6 +124,11 @@ def given_of(engine: Engine) -> Engine:
     return getattr(engine, "given", None) or engine
 
 
+def no_effort(engine: Engine, rows: int) -> Float[np.ndarray, "n a"]:
+    """Forces of zero, in the layout of `Engine.rows`."""
+    return np.zeros((rows, sum(1 for f in engine.schema.state if f.effort)))
+
+
 def split_of(engine: Engine, joint: str) -> tuple[Engine, ...]:
     """Rivals of the engine with a hidden state behind a joint (`Field.body`), such as play between motor and link.
 

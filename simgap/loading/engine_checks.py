@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from simgap.engines import Engine, Term
+from simgap.engines import Engine, Term, no_effort
 from simgap.loading.user_code import RAISED, check_tuple, reason, shown
 from simgap.types import ConfigError, Field
 
@@ -37,7 +37,7 @@ def _try(engine: Engine, name: str) -> None:
     state = np.vstack([np.zeros(len(engine.schema.state)), _typical(engine.schema.state)])
     command = np.repeat(np.vstack([np.zeros(len(engine.schema.command)), _typical(engine.schema.command)])[:, None],
                         engine.parts, axis=1)  # fmt: skip
-    nil = np.zeros((2, len(engine.terms))), np.zeros((2, sum(1 for f in engine.schema.state if f.effort)))
+    nil = np.zeros((2, len(engine.terms))), no_effort(engine, 2)
 
     def rows(index: list[int]) -> Float[np.ndarray, "n s"]:
         return np.asarray(engine.rows(phi, nil[0][index], state[index], command[index], nil[1][index]))

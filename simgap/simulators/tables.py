@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.engines import Engine, Table, rough_of
+from simgap.engines import Engine, Table, no_effort, rough_of
 from simgap.threads import side_by_side
 
 STEP = 1e-3
@@ -48,7 +48,7 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
     """
     points = Points(*(np.asarray(a, np.float64) for a in points))
     phi, terms, state, command = points
-    nil = np.zeros((len(state), sum(1 for f in engine.schema.state if f.effort)))
+    nil = no_effort(engine, len(state))
     then = engine.rows(phi, terms, state, command, nil)
     rough = rough_of(engine)
     rough_then = then if rough is engine else rough.rows(phi, terms, state, command, nil)
@@ -105,7 +105,7 @@ def _table(points: Points, then: Float[np.ndarray, "n s"], columns: list[np.ndar
 
 def by_effort(engine: Engine, points: Points, then: Float[np.ndarray, "n s"], i: int) -> Float[np.ndarray, "n s"]:
     """Derivatives of the next states, which are `then` without efforts, with respect to the i-th effort."""
-    effort = np.zeros((len(then), sum(1 for f in engine.schema.state if f.effort)))
+    effort = no_effort(engine, len(then))
     effort[:, i] = EFFORT
     return (engine.rows(*points, effort) - then) / EFFORT
 

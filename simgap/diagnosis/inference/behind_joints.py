@@ -48,7 +48,7 @@ class _Both(NamedTuple):
 
 
 def behind_joints(found: Explanation, report: Reporter) -> Explanation:
-    """The explanation with the hidden states that were compared with its effects, and the effects' odds beside them.
+    """Compare what was found at each joint with play and a spring there; adds the rivals and changes the effects' odds.
 
     Only where something was found at a joint: an effect, or residuals that can be predicted. Not with a baseline.
     """
@@ -67,27 +67,27 @@ def behind_joints(found: Explanation, report: Reporter) -> Explanation:
         bare = without(found.fit, [group for m in replaced for group in m.hypothesis.groups]).v
         base = max((m.without for m in replaced), key=lambda f: f.loglik) if replaced else found.fit
         states = fitted(found.problem, bare, engines, Gains(own.loglik, base.loglik))
-        report(", ".join(f"{s.engine.terms[-1].effect} {s.loglik - own.loglik:+.1f} nats" for s in states))
+        report(", ".join(f"{s.term.effect} {s.loglik - own.loglik:+.1f} nats" for s in states))
         if states:
             found = _with(found, _without_companions(found, _Contest(replaced, base, own, bare, states), report))
     return found
 
 
 def _without_companions(found: Explanation, contest: _Contest, report: Reporter) -> _Contest:
-    """The contest in which the best rival also replaces each effect that is not needed beside it.
+    """Let the best rival also replace each effect without which it explains as much.
 
     A search that lacks a hidden state adds effects at other joints too, which make up for what the first one is not.
     """
     own, required = contest.own.loglik, found.rounds[0].screening.threshold / 2
     replaced = {m.hypothesis.name for m in contest.replaced}
     for m in (m for m in found.members if m.hypothesis.name not in replaced):
-        best, *others = (s for s in contest.states if s.loglik > own or s is contest.states[0])
-        if best.loglik <= own:
+        if contest.states[0].loglik <= own:
             break
+        best, *others = (s for s in contest.states if s.loglik > own)
         bare = without(contest.own._replace(v=contest.bare), m.hypothesis.groups).v
         state, *others = (refitted(found.problem, bare, s, contest.base.loglik) for s in (best, *others))
         if state.loglik > best.loglik - required:
-            report(f"{m.hypothesis.name} is not needed beside {best.engine.terms[-1].effect}")
+            report(f"{m.hypothesis.name} dropped: {best.term.effect} explains as much without it")
             contest = contest._replace(replaced=[*contest.replaced, m], bare=bare, states=[state, *others])
     return contest
 
@@ -113,8 +113,8 @@ def _places(found: Explanation, own: Fit) -> dict[str, list[Member]]:
 
 
 def _with(found: Explanation, contest: _Contest) -> Explanation:
-    """The explanation with the best rival, beside the effects that it would replace."""
-    best = {s.engine.terms[-1].effect: s for s in contest.states}
+    """The explanation after a contest: new odds of the effects, and the best rival if it is ahead of them."""
+    best = {s.term.effect: s for s in contest.states}
     both = _rows(found, contest)
     constants = {FOUND: sum(len(m.hypothesis.groups) for m in contest.replaced)} | dict.fromkeys(best, 1)
     score = {k: float(d.sum()) - 0.5 * constants[k] * np.log(len(d)) for k, d in both.rows.items()}
@@ -145,7 +145,7 @@ def _rows(found: Explanation, contest: _Contest) -> _Both:
     rows = {FOUND: np.concatenate([log_density(f.e, own.noise).sum(1) for f in (own, heldout)])}
     for state in contest.states:
         here = log_density(state.e, state.noise).sum(1)
-        rows[state.engine.terms[-1].effect] = np.concatenate([here, state.on(unseen, contest.bare)])
+        rows[state.term.effect] = np.concatenate([here, state.on(unseen, contest.bare)])
     first = blocks(np.asarray(found.problem.chunks.counts))
     starts = np.concatenate([first, len(own.e) + blocks(np.asarray(found.unseen.counts))])
     return _Both(rows, starts, len(heldout.e))
@@ -163,7 +163,7 @@ def _hidden(
     """The best rival, as a finding. It is named if it is likely, gains on held-out rows over what was found, and
     explains more than it leaves predictable in the outputs of its joint; and is ahead by what the last search
     required."""
-    term, problem, replaced = state.engine.terms[-1], found.problem, contest.replaced
+    term, problem, replaced = state.term, found.problem, contest.replaced
     gain, heldout = state.loglik - contest.base.loglik, slice(len(both.rows[FOUND]) - both.heldout, None)
     more = float((both.rows[term.effect] - both.rows[FOUND])[heldout].sum())
     here = [f.body == term.where for f in problem.augmented.layout.schema.outputs]

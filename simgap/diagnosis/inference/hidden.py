@@ -18,7 +18,7 @@ from simgap.diagnosis.likelihood.directions import CROSS, PRIOR_PRECISION, TRUST
 from simgap.diagnosis.likelihood.filter import Variables, gain_matrix
 from simgap.diagnosis.likelihood.problem import Problem, start
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
-from simgap.engines import Engine
+from simgap.engines import Engine, Term
 
 PHI, GAIN, SIZE = 0.01, 0.01, 0.03
 """Difference steps of a parameter (a logarithm), of the filter's gain, and of the logarithm of the rival's constant.
@@ -58,8 +58,13 @@ class State(NamedTuple):
     phi_sd: Float[np.ndarray, " p"] | float = np.inf
 
     @property
+    def term(self) -> Term:
+        """What it is, where, and in which unit its constant is given."""
+        return self.engine.terms[-1]
+
+    @property
     def value(self) -> float:
-        """Its constant, in the unit of the engine's last term."""
+        """Its constant, in the unit of the term."""
         return float(np.exp(self.at.size))
 
     def on(self, problem: Problem, v: Variables) -> Float[np.ndarray, " n"]:

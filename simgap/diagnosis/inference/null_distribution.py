@@ -105,8 +105,8 @@ def blocks(counts: np.ndarray) -> np.ndarray:
 def by_chance(weighed: Weighed, level: float, rng: np.random.Generator) -> tuple[float, float]:
     """p-value of the greatest statistic under noise alone, and the critical value at `level`.
 
-    The null distribution of the maximum comes from random weights on the blocks' scores (multiplier bootstrap). Fewer
-    than `FEW` blocks give none: then nothing can be told from noise, and the p-value is one.
+    The null distribution of the maximum comes from random weights on the blocks' scores (multiplier bootstrap). With
+    fewer than `FEW` blocks there is no such distribution, so the p-value is one: nothing is significant.
     """
     multipliers = rng.standard_normal((weighed.left.shape[1], DRAWS), np.float32)
     noise = np.zeros(DRAWS, np.float32)

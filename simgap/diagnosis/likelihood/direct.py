@@ -6,15 +6,12 @@ filter is that of `filter`, for joints, whose gain needs no rotation.
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, acting, sent_of
+from simgap.diagnosis.likelihood.filter import Variables, sent_of, terms_in_rows
 from simgap.diagnosis.likelihood.problem import Problem, decorrelate
-from simgap.effects.stepping import terms_of
-from simgap.engines import Engine
+from simgap.engines import Engine, no_effort
 
 
 class Driven(NamedTuple):
@@ -35,13 +32,10 @@ def driven(problem: Problem, v: Variables) -> Driven:
     """
     augmented, chunks = problem.augmented, problem.chunks
     scored = np.asarray(np.asarray(chunks.counts).any(1))
-    gates = jnp.swapaxes(chunks.gate[..., :-1], 1, 2)
-    terms = jax.vmap(jax.vmap(lambda gate: terms_of(augmented, acting(v, v.theta, gate))))(gates)
+    terms = np.asarray(terms_in_rows(augmented, v, chunks), float)
     command, state = np.asarray(sent_of(augmented, v, chunks), float), np.asarray(chunks.state, float)
     outputs = len(augmented.layout.schema.outputs)
-    return Driven(
-        state[scored, 0], state[scored][..., :outputs], command[scored], np.asarray(terms, float)[scored], scored
-    )
+    return Driven(state[scored, 0], state[scored][..., :outputs], command[scored], terms[scored], scored)
 
 
 def innovations(
@@ -57,11 +51,11 @@ def innovations(
     count, rows, outputs = given.measured.shape
     more = len(engine.schema.state) - given.first.shape[1]
     x = np.hstack([given.first, np.zeros((count, more))])
-    nil = np.zeros((count, sum(1 for f in engine.schema.state if f.effort)))
+    effort = no_effort(engine, count)
     raw = np.zeros((len(given.scored), rows - 1, outputs))
     for t in range(rows - 1):
         terms = np.hstack([given.terms[:, t], np.tile(hidden, (count, 1))])
-        then = engine.rows(phi, terms, x, given.command[:, t], nil)
+        then = engine.rows(phi, terms, x, given.command[:, t], effort)
         e = given.measured[:, t + 1] - then[:, :outputs]
         raw[given.scored, t] = e
         x = then + e @ gain.T

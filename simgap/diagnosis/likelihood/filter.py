@@ -26,6 +26,7 @@ from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.step import follow, unsense
+from simgap.effects.stepping import terms_of
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 
@@ -125,6 +126,17 @@ def filtered(
     """
     active = augmented.active(v.theta, *v.delta)
     return jax.vmap(lambda chunk: _filter_segment(augmented, scales, v, active, chunk))(bare(chunks))
+
+
+def terms_in_rows(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T-1 k"]:
+    """An engine's terms in each row."""
+
+    def terms(gate: Float[Array, " S"]) -> Float[Array, " k"]:
+        values = terms_of(augmented, acting(v, v.theta, gate))
+        assert values is not None  # an engine has them
+        return values
+
+    return np.asarray(jax.vmap(jax.vmap(terms))(jnp.swapaxes(chunks.gate[..., :-1], 1, 2)))
 
 
 @partial(jax.jit, static_argnames="augmented")

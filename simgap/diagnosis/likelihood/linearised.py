@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from simgap.diagnosis.likelihood.filter import Variables, acting, filtered, sent_of
+from simgap.diagnosis.likelihood.filter import Variables, filtered, sent_of, terms_in_rows
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.effects.augmented import Augmented
@@ -29,9 +29,6 @@ def tabulated(
         return chunks
     chunks = chunks._replace(table=None)
     (state, _), command = filtered(augmented, problem.scales, v, chunks), sent_of(augmented, v, chunks)
-    gates = jnp.swapaxes(chunks.gate[..., :-1], 1, 2)
-    terms = jax.vmap(jax.vmap(lambda gate: terms_of(augmented, acting(v, v.theta, gate))))(gates)
-    assert terms is not None  # an engine has them
     # Where an estimate is not finite, use the measured state.
     x = np.where(np.isfinite(state), np.asarray(state), np.asarray(chunks.state)[:, :-1])
     scored = np.asarray(chunks.counts).any(1)  # the others are padding
@@ -39,7 +36,7 @@ def tabulated(
     def by_row(a: Any) -> np.ndarray:
         return np.asarray(a)[scored].reshape(-1, *a.shape[2:])
 
-    points = Points(np.asarray(v.phi), *map(by_row, (terms, x, command)))
+    points = Points(np.asarray(v.phi), *map(by_row, (terms_in_rows(augmented, v, chunks), x, command)))
     if derivatives is None:
         table = tabulate(engine, points, _varied(augmented, fits) if fits else None)
     else:

@@ -122,7 +122,7 @@ def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str,
     terms = _terms(engine, model)
     named = [any(_is_of(term, e, engine.terms) for e in statement["effects"]) for term in engine.terms]
     # A hidden state's own parameters: those of the model make up for it.
-    phi = next((np.array(e["parameters"]) for e in statement["effects"] if e["id"] in BEHIND_JOINTS), model.phi)
+    phi = next((np.array(e["parameters"]) for e in statement["effects"] if "parameters" in e), model.phi)
     written = patch(engine, phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
     return Patched(written.xml, written.changes, (*written.unwritten, *unwritten))
 

@@ -27,7 +27,7 @@ from simgap.types import Recording, Sessions
 
 ARM = """
 <mujoco><compiler angle="radian" autolimits="true"/><option timestep="{step}" integrator="implicitfast"/>
-  <worldbody><body><joint name="pan" axis="0 0 1" damping=".3" armature=".02" {joint}/>{deflection}
+  <worldbody><body><joint name="pan" axis="0 0 1" damping=".3" armature=".02"/>{deflection}
     <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".8" contype="0" conaffinity="0"/></body></worldbody>
   <actuator><position name="pan" joint="pan" kp="25" kv="1"/></actuator></mujoco>
 """
@@ -35,14 +35,13 @@ DEFLECTION = '<joint name="deflection" axis="0 0 1" {}/>'
 TRUE = {
     "play": DEFLECTION.format('range="-.015 .015" solreflimit=".002 1" damping=".002"'),
     "spring": DEFLECTION.format('stiffness="60" damping=".02"'),
-    "nothing": "",
 }
 STEP, ROWS, SESSIONS, NOISE = 0.02, 200, 3, 5e-4
 
 
 def recordings(truth: str) -> list[Recording]:
     """Positions of the link, with noise; held and swept targets."""
-    model = mujoco.MjModel.from_xml_string(ARM.format(step=5e-4, joint="", deflection=TRUE[truth]))
+    model = mujoco.MjModel.from_xml_string(ARM.format(step=5e-4, deflection=TRUE[truth]))
     data, sessions = mujoco.MjData(model), []
     for session in range(SESSIONS):
         rng = np.random.default_rng(session)
@@ -62,7 +61,7 @@ def recordings(truth: str) -> list[Recording]:
 def rivals(truth: str, folder: Path) -> tuple[float, list[State]]:
     """Log-likelihood of the model without anything more, and the rivals fitted."""
     path = folder / "arm.xml"
-    path.write_text(ARM.format(step=0.002, joint="", deflection=""))
+    path.write_text(ARM.format(step=0.002, deflection=""))
     engine = load(path, STEP, ["pan_pos", "cmd_pan"])
     sessions = guessed(Layout(engine.schema), Sessions(recordings(truth), [], []))
     problem = Problem(Augmented(engine), None, cut(sessions.fitted, STEP), np.eye(1))  # type: ignore[arg-type]

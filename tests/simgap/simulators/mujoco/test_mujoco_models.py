@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from arms import arm
 
+from simgap.engines import no_effort
 from simgap.simulators.mujoco import MujocoEngine, load
 from simgap.simulators.mujoco.steps import stepped as with_steps
 from simgap.types import SimgapError
@@ -23,10 +24,8 @@ def loaded(folder: Path, text: str, columns: set[str] | None = None) -> MujocoEn
 def after(engine: MujocoEngine, state: list[float], command: list[float]) -> np.ndarray:
     """One row, without terms."""
     u = np.tile(command, (1, engine.parts, 1))
-    efforts = sum(1 for f in engine.schema.state if f.effort)
-    return engine.rows(engine.nominal, np.zeros((1, len(engine.terms))), np.array([state]), u, np.zeros((1, efforts)))[
-        0
-    ]
+    nil = np.zeros((1, len(engine.terms))), no_effort(engine, 1)
+    return engine.rows(engine.nominal, nil[0], np.array([state]), u, nil[1])[0]
 
 
 def stepped_like(engine: MujocoEngine, other: MujocoEngine) -> MujocoEngine:
