@@ -50,10 +50,10 @@ def turned(yaw: Array, horizontal: Array) -> Array:
 
 
 def turned_by(c: Array, s: Array, vector: Array) -> Array:
-    """The same, given cosine and sine [B] of the yaw."""
+    """The same, given cosine and sine of the yaw."""
     out = np.empty_like(vector)
-    x, y = vector[:, 0], vector[:, 1]
-    out[:, 0], out[:, 1], out[:, 2] = c * x - s * y, s * x + c * y, vector[:, 2]
+    x, y = vector[..., 0], vector[..., 1]
+    out[..., 0], out[..., 1], out[..., 2] = c * x - s * y, s * x + c * y, vector[..., 2]
     return out
 
 
@@ -65,19 +65,19 @@ def carried(v_base: Array, arm: Array) -> Array:
 
 def advance(of: Robot, x: Array, u: Array) -> Array:
     """The next row [B, 12]."""
-    a, b, g = of
-    out, rest = np.empty_like(x), 1 - a
-    c, s = np.cos(x[:, 2]), np.sin(x[:, 2])
-    p, q = x[:, P_BASE], x[:, P_EE]
-    v = a[:, :3] * x[:, V_BASE] + rest[:, :3] * turned_by(c, s, u[:, :3]) + b[:, :3]
-    w = a[:, 3:] * x[:, V_EE] + rest[:, 3:] * turned_by(c, s, u[:, 3:]) + b[:, 6:9]
-    w[:, 0] += v[:, 0] - v[:, 2] * (q[:, 1] - p[:, 1])
-    w[:, 1] += v[:, 1] + v[:, 2] * (q[:, 0] - p[:, 0])
-    out[:, P_BASE] = p + TIME_STEP * g[:, :3] * v + b[:, 3:6]
-    out[:, V_BASE] = v
-    out[:, P_EE] = q + TIME_STEP * g[:, 3:] * w + b[:, 9:]
-    out[:, V_EE] = w
-    return out
+    # Both bodies at once: on some dozens of robots a call of numpy costs as much as its numbers.
+    bodies = (len(x), 2, 3)
+    a, b, g = of.alpha.reshape(-1, 2, 3), of.beta.reshape(-1, 2, 2, 3), of.gamma.reshape(-1, 2, 3)
+    now, out = x.reshape(-1, 2, 2, 3), np.empty((len(x), 2, 2, 3), x.dtype)
+    p = now[:, :, 0]
+    c, s = np.cos(x[:, 2, None]), np.sin(x[:, 2, None])
+    v = a * now[:, :, 1] + (1 - a) * turned_by(c, s, u.reshape(bodies)) + b[:, :, 0]
+    base, hand, arm = v[:, 0], v[:, 1], p[:, 1] - p[:, 0]
+    hand[:, 0] += base[:, 0] - base[:, 2] * arm[:, 1]
+    hand[:, 1] += base[:, 1] + base[:, 2] * arm[:, 0]
+    out[:, :, 0] = p + TIME_STEP * g * v + b[:, :, 1]
+    out[:, :, 1] = v
+    return out.reshape(-1, 12)
 
 
 def wrapped(difference: Array) -> Array:
@@ -114,27 +114,26 @@ def observers(of: Robot, noise: Noise) -> Observer:
 
     The coupling between axes is left aside, but for the noise that the base hands on to the hand.
     """
-    gains, covs = np.empty((len(EAGER), 6, 2, 2)), np.empty((len(EAGER), 6, 2, 2))
-    eye = np.eye(2)
-    for i in range(6):
-        p, v = POSITION[i], VELOCITY[i]
-        a, g = of.alpha[0, i], TIME_STEP * of.gamma[0, i]
-        F = np.array([[1.0, g * a], [0.0, a]])
-        G = np.array([[1.0, g], [0.0, 1.0]])
-        spread = noise.process[[p, v]] ** 2
-        if i in (3, 4):  # the base's motion moves the hand as well
-            spread[1] += noise.process[V_BASE][:2].mean() ** 2 + (ARM * noise.process[5]) ** 2
-        Q, R = G @ np.diag(spread) @ G.T, np.diag(noise.measured[[p, v]] ** 2)
-        P = Q + R
-        for _ in range(SETTLED):
-            K = P @ np.linalg.inv(P + R)
-            P = F @ (P - K @ P) @ F.T + Q
-        best = P @ np.linalg.inv(P + R)
-        for j, eager in enumerate(EAGER):
-            K = best + eager * (eye - best)
-            for _ in range(SETTLED):
-                P = F @ ((eye - K) @ P @ (eye - K).T + K @ R @ K.T) @ F.T + Q
-            gains[j, i], covs[j, i] = K, P + R
+    a, g, eye = of.alpha[0], TIME_STEP * of.gamma[0], np.eye(2)
+    F, G = np.tile(eye, (6, 1, 1)), np.tile(eye, (6, 1, 1))
+    F[:, 0, 1], F[:, 1, 1], G[:, 0, 1] = g * a, a, g
+    spread = np.stack([noise.process[POSITION], noise.process[VELOCITY]], axis=1) ** 2
+    # The base's motion moves the hand as well.
+    spread[[3, 4], 1] += noise.process[V_BASE][:2].mean() ** 2 + (ARM * noise.process[5]) ** 2
+    Q = (G * spread[:, None]) @ np.swapaxes(G, 1, 2)
+    R = eye * np.stack([noise.measured[POSITION], noise.measured[VELOCITY]], axis=1)[:, None] ** 2
+    P = Q + R
+    for _ in range(SETTLED):
+        K = P @ np.linalg.inv(P + R)
+        P = F @ (P - K @ P) @ np.swapaxes(F, 1, 2) + Q
+    best = P @ np.linalg.inv(P + R)
+    gains = best + np.reshape(EAGER, (-1, 1, 1, 1)) * (eye - best)
+    kept, measured = F @ (eye - gains), F @ gains
+    added = measured @ R @ np.swapaxes(measured, -1, -2) + Q
+    covs = np.tile(P, (len(EAGER), 1, 1, 1))
+    for _ in range(SETTLED):
+        covs = kept @ covs @ np.swapaxes(kept, -1, -2) + added
+    covs = covs + R
     return Observer(gains, covs, np.linalg.inv(np.linalg.cholesky(covs)))
 
 
@@ -157,9 +156,12 @@ def innovations(of: Robot, by: Observer, state: Array, command: Array) -> Array:
 
 def correct(by: Observer, x: Array, e: Array) -> None:
     """Correct an estimate [B, 12] in place by innovations [B, 12]."""
-    of_position, of_velocity = e[:, POSITION], e[:, VELOCITY]
-    x[:, POSITION] += by.gain[..., 0, 0] * of_position + by.gain[..., 0, 1] * of_velocity
-    x[:, VELOCITY] += by.gain[..., 1, 0] * of_position + by.gain[..., 1, 1] * of_velocity
+    by_body = e.reshape(-1, 2, 2, 3)
+    of_position, of_velocity = by_body[:, :, 0], by_body[:, :, 1]
+    gain, moved = by.gain.reshape(-1, 2, 3, 2, 2), np.empty(by_body.shape)
+    for i in range(2):
+        moved[:, :, i] = gain[..., i, 0] * of_position + gain[..., i, 1] * of_velocity
+    x += moved.reshape(-1, 12)
 
 
 def whitened(by: Observer, e: Array) -> Array:
