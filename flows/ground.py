@@ -14,7 +14,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from flows.flow import flow
 from simgap.cli import progress
-from tasks import fingerprint, ground, verdicts
+from tasks import calibration, fingerprint, ground, verdicts
 from tasks.params_machines import GroundParams
 from tasks.params_machines import load_ground as load
 
@@ -42,3 +42,4 @@ def run(params: GroundParams, root: Path) -> None:
     while not idle.empty():
         idle.get().shutdown()
     progress.say("\n".join(verdicts.summary(runs.own)))
+    progress.say(calibration.calibrate(runs.every, root))

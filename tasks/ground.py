@@ -1,6 +1,6 @@
 """Stage `ground`: cases of the training ground diagnosed, and scored against what they lack."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
@@ -12,6 +12,7 @@ from typing import Any
 from prefect import task
 
 from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.validation.indicators import Indicators
 from simgap.ground.draw import Case, draw
 from simgap.types import Report, SimgapError
 from tasks import verdicts
@@ -45,7 +46,7 @@ def diagnosed(number: int, seed: int) -> dict[str, Any]:
     case = draw(number)
     try:
         statement = diagnose(case.machine, case.machine.name, case.sessions, seed).statement
-        said = verdicts.judged(case.causes, statement) | _gains(statement)
+        said = verdicts.judged(case.causes, statement) | _found(case.causes, statement)
     except SimgapError as error:
         said = verdicts.failed(str(error))
     return {"case": number, **_drawn(case), **said}
@@ -55,17 +56,18 @@ def _drawn(case: Case) -> dict[str, Any]:
     return {
         "machine": case.machine.name,
         "kind": case.kind,
-        "families": "; ".join(case.families),
+        "families": verdicts.SEPARATOR.join(case.families),
         "tails": case.tails,
         "strength": round(case.strength, 1),
     }
 
 
-def _gains(statement: Mapping[str, Any]) -> dict[str, Any]:
-    """What the named effects gain [nats], on fitted and held-out sessions, and would gain by bending."""
-    effects = statement["effects"]
-    return {
-        "gains": "; ".join(f"{e['gain_nats']:.1f}" for e in effects),
-        "heldout_gains": "; ".join(f"{e['heldout_gain_nats']:.1f}" for e in effects),
-        "misfits": "; ".join(f"{e['misfit_nats']:.1f}" for e in effects),
+def _found(causes: Sequence[Collection[str]], statement: Mapping[str, Any]) -> dict[str, Any]:
+    """Every effect found, named or not: whether a cause is among its names, and what speaks for and against it."""
+    effects = statement["found"]
+    columns = {
+        "found": [e["id"] for e in effects],
+        "right": [str(int(verdicts.is_right(causes, e))) for e in effects],
+        **{name: [f"{e['indicators'][name]:.4g}" for e in effects] for name in Indicators._fields},
     }
+    return {name: verdicts.SEPARATOR.join(parts) for name, parts in columns.items()}

@@ -81,6 +81,20 @@ def against_rows(
     save(figure, path, dpi)
 
 
+def stated_and_observed(path: Path, bins: Sequence[Mapping[str, Any]], dpi: int) -> None:
+    """Stated against observed shares, with their standard errors. A bin: `stated`, `right`, number of `effects`."""
+    figure, ax = plt.subplots(figsize=(4.6, 4.2), layout="constrained")
+    stated, right, n = (np.array([b[key] for b in bins]) for key in ("stated", "right", "effects"))
+    ax.plot([0, 1], [0, 1], color="0.7", label="as stated")
+    ax.errorbar(stated, right, np.sqrt(stated * (1 - stated) / n), fmt="o", color="#1f5fa8", label="effects found")
+    for x, y, count in zip(stated, right, n, strict=True):
+        ax.annotate(str(count), (x, y), textcoords="offset points", xytext=(7, -11), color="0.4", fontsize="small")
+    ax.set(xlabel="stated: the cause is among the names", ylabel="share of effects where it is", xlim=(0, 1),
+           ylim=(0, 1.02), title="Families of causes that were held out")  # fmt: skip
+    ax.legend(loc="upper left", frameon=False)
+    save(figure, path, dpi)
+
+
 def save(figure: Figure, path: Path, dpi: int) -> None:
     """Write a figure as PNG with a palette of 64 colours, a quarter of the size, as git keeps it; and close it."""
     whole = io.BytesIO()

@@ -13,6 +13,8 @@ KEY = ("code", "case")
 SURE = 0.95
 """Probability from which on a name is said to be sure."""
 FAILED = "failed"
+SEPARATOR = "; "
+"""Between the parts of a cell."""
 
 
 class Runs:
@@ -59,8 +61,8 @@ def judged(causes: Sequence[Collection[str]], statement: Mapping[str, Any]) -> d
     return {
         "outcome": _outcome(causes, statement, found, other),
         "verdict": statement["verdict"],
-        "named": "; ".join(f"{name} {p:.2f}" for name, p in named.items()),
-        "closest_matches": "; ".join(e["id"] for e in statement["closest_matches"]),
+        "named": SEPARATOR.join(f"{name} {p:.2f}" for name, p in named.items()),
+        "closest_matches": SEPARATOR.join(e["id"] for e in statement["closest_matches"]),
         "sure": max(other.values(), default=0.0),
     }
 
@@ -73,8 +75,13 @@ def _outcome(
         return "right" if quiet and not causes else "wrong" if quiet else "open"
     if found:
         return "surplus" if other else "right" if found == len(causes) else "part"
-    tied = any(_right(causes) & set(e["credible_set"]) for e in statement["effects"])
+    tied = any(is_right(causes, e) for e in statement["effects"])
     return "tied" if tied else "wrong"
+
+
+def is_right(causes: Sequence[Collection[str]], effect: Mapping[str, Any]) -> bool:
+    """Whether a cause is among the names of an effect's credible set."""
+    return bool(_right(causes) & set(effect["credible_set"]))
 
 
 def _right(causes: Sequence[Collection[str]]) -> set[str]:

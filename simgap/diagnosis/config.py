@@ -17,6 +17,9 @@ RIVAL = 0.03
 """Minimum expected gain of an alternative, as a share of that of the effect chosen at the same time."""
 LIKELY = 0.3
 """Minimum posterior probability for an effect to be named: each of three equally likely ones still has it."""
+KNOWN = 0.5
+"""Minimum probability, calibrated on machines drawn at random, that the cause is among the names of an effect for it to
+be named: below, it is likelier that it has no name."""
 EXPLAINED = 0.5
 """Minimum share of what there is to explain that an effect, or all of them together, must explain: below it, something
 unnamed explains more."""
@@ -28,11 +31,6 @@ LEAST_SESSIONS = 5
 """Minimum number of sessions for a bootstrap over sessions; with fewer, it draws runs of rows."""
 MARGIN = 0.005
 """Minimum relative increase of the error of a model called worse: any two differ by chance in the fourth digit."""
-LARGE = 0.1
-"""An effect must remove this share of the error in its outputs, at one horizon at least, to be named whatever else is
-missing."""
-WELL_DETERMINED = 5.0
-"""A constant this many standard deviations from zero is known to 40 %, with 95 % confidence."""
 POWER = 0.9
 """Probability with which an effect of the reported size would have been found."""
 CREDIBLE = 0.95

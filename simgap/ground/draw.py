@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.ground.families import FAMILIES, OUTSIDE, WITHIN
+from simgap.ground.families import EQUIVALENT, FAMILIES, OUTSIDE, WITHIN
 from simgap.ground.laws import Law
 from simgap.ground.machines import MACHINES, Machine
 from simgap.types import Recording, Sessions
@@ -18,8 +18,11 @@ FINER = 10
 """Steps of the machine in a row, by the midpoint rule."""
 KINDS = {"nothing": 0.25, "within": 0.4, "two": 0.1, "outside": 0.25}
 """Shares of the cases by what is left out: nothing, a law that has a name, two of them, one that has none."""
-SIZES = 0.03, 0.5
+SIZES = 0.01, 0.5
 """Of laws, as shares of usual commands and speeds."""
+SHAKEN, CALM = (0.01, 1.0), 0.3
+"""Random changes of the velocities, as a share of what these usually change by from row to row; share of the cases that
+have none."""
 NOISE = 0.02, 0.6
 """Scale of a measurement's noise, as a share of what its output usually changes by from row to row."""
 WARM = 20
@@ -29,8 +32,9 @@ WARM = 20
 class Case(NamedTuple):
     """A case: machine, what it lacks (names of families), sessions, and how much that shows.
 
-    strength: half the squared change of the next row that the laws make, in units of the noise, summed over the fitted
-    rows and the outputs [nats]: what a perfect observer would gain who knew state and laws.
+    strength: half the squared change of the next row that the laws make, in units of the noise and of what changes the
+    velocities at random, summed over the fitted rows and the outputs [nats]: what a perfect observer would gain who
+    knew state and laws.
     """
 
     number: int
@@ -44,7 +48,7 @@ class Case(NamedTuple):
     @property
     def causes(self) -> list[frozenset[str]]:
         """For each law, the effects that name it rightly."""
-        return [FAMILIES[name].names for name in self.families]
+        return [FAMILIES[f].names | EQUIVALENT.get((self.machine.name, f), frozenset()) for f in self.families]
 
 
 def draw(number: int) -> Case:
@@ -57,20 +61,26 @@ def draw(number: int) -> Case:
     params = _parameters(machine, rng)
     rate, row = _rate(machine, params), machine.time_step
     drawn = int(rng.integers(2**32))
-    clean = []
+    share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
+    clean, shaken = [], np.zeros(machine.velocities)
     for session in range(SESSIONS):
         # The same laws in all sessions, but for what is random in time.
         laws = [FAMILIES[f].draw(np.random.default_rng([drawn, i]), s, row, rate)
                 for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
         for law in laws:
             law.begin(np.random.default_rng([drawn, len(laws), session]))
-        clean.append(_simulated(machine, params, laws, _commands(machine, rng)))
+        command, shakes = _commands(machine, rng), rng.standard_normal((WARM + ROWS, machine.velocities))
+        if session == 0 and share:
+            calm = _simulated(machine, params, [], command, shakes * 0)
+            shaken = share * np.std(np.diff(calm.state[:, machine.positions :], axis=0), 0)
+        clean.append(_simulated(machine, params, laws, command, shakes * shaken))
     scale = np.exp(rng.uniform(*np.log(NOISE))) * np.std(np.concatenate([np.diff(c.state, axis=0) for c in clean]), 0)
     tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
     recordings = [_measured(f"session_{i:02d}", machine, c, scale, tails, rng) for i, c in enumerate(clean)]
     fitted = SESSIONS - HELD_OUT
     changed = np.concatenate([c.changed for c in clean[:fitted]])
-    strength = float(0.5 * ((changed / scale) ** 2).sum())
+    random = np.hypot(scale, np.concatenate([np.zeros(machine.positions), shaken]))
+    strength = float(0.5 * ((changed / random) ** 2).sum())
     sessions = Sessions(recordings[:fitted], recordings[fitted:])
     return Case(number, machine, kind, families, tails, sessions, strength)
 
@@ -128,13 +138,17 @@ class _Clean(NamedTuple):
 
 
 def _simulated(
-    machine: Machine, params: Float[np.ndarray, " p"], laws: Sequence[Law], command: Float[np.ndarray, "T u"]
+    machine: Machine,
+    params: Float[np.ndarray, " p"],
+    laws: Sequence[Law],
+    command: Float[np.ndarray, "T u"],
+    shakes: Float[np.ndarray, "T v"],
 ) -> _Clean:
-    """A session of the machine from rest, without the rows before its recording begins."""
+    """A session of the machine from rest, without the rows before its recording begins. shakes: of the velocities."""
     h, n = machine.time_step / FINER, machine.positions
     state = np.zeros(len(machine.schema.state))
     states, changes = [], []
-    for sent in command:
+    for sent, shake in zip(command, shakes, strict=True):
         states.append(state)
         plain = state
         for _ in range(FINER):
@@ -146,6 +160,7 @@ def _simulated(
             state = _after(machine, params, state, arrives, h, pushed)
             plain = _after(machine, params, plain, sent, h, np.zeros(len(v)))
         changes.append(state - plain)
+        state = state + np.concatenate([np.zeros(n), shake])
     kept = slice(WARM, None)
     return _Clean(np.array(states)[kept], command[kept], np.array(changes)[kept])
 

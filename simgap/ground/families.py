@@ -145,5 +145,7 @@ FAMILIES: dict[str, Family] = {
     "gusts": Family(_named(), _gusts),
     "bristles": Family(_named(), _bristles),
 }
+EQUIVALENT = {("servo", "bias"): _named("sensor_bias")}
+"""On a machine, other names for a family: a steady push on a servo is an offset of the position that it is held to."""
 WITHIN = tuple(name for name, family in FAMILIES.items() if family.names)
 OUTSIDE = tuple(name for name, family in FAMILIES.items() if not family.names)

@@ -41,6 +41,11 @@ class Machine:
         """How many of the states are positions."""
         return sum(f.kind != "velocity" for f in self.schema.state)
 
+    @property
+    def velocities(self) -> int:
+        """How many of the states are velocities."""
+        return len(self.schema.state) - self.positions
+
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
     ) -> Float[Array, " s"]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from simgap.diagnosis.config import CREDIBLE
 from simgap.diagnosis.report import names
 from simgap.diagnosis.report.wording import acts
 from simgap.page import numbers, wording
@@ -78,7 +79,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         )
         if numbers.known(effect.get(key))
     ]
-    title = names.title(effect["id"])
+    title, outside = names.title(effect["id"]), effect.get("outside") or 0.0
     return {
         "title": title,
         "probability": _probability(effect),
@@ -90,6 +91,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         "gains": gains,
         "acts": acts(effect.get("support")),
         "credible": [names.title(m) for m in effect.get("credible_set") or []],
+        "outside": numbers.percent(outside) if outside > 1 - CREDIBLE else "",
         "laws": [
             {
                 "title": law.get("title", ""),

@@ -82,9 +82,13 @@ class Explanation(NamedTuple):
             return False
         if member.gain < EXPLAINED * (member.gain + member.misfit):
             return False
+        differs = differs_from_zero(self.problem, self.fit, member.hypothesis, self.sd)
+        return differs and self.named_share(member) >= EXPLAINED
+
+    def named_share(self, member: Member) -> float:
+        """Share that an effect explains of what there is to explain in the outputs that it improves."""
         nameless = np.maximum(self.whiteness.nats, self.law.nats(self.fit))
-        share = named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
-        return share >= EXPLAINED and differs_from_zero(self.problem, self.fit, member.hypothesis, self.sd)
+        return named_share(self.problem.augmented.layout, self.fit, member.without, nameless)
 
     @property
     def parameters(self) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:

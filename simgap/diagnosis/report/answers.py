@@ -1,6 +1,6 @@
 """Parts of the statement that need no verdict: parameters, alternatives, rounds, notes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,9 +27,11 @@ def credible_set(odds: Mapping[str, float]) -> list[str]:
     return credible
 
 
-def alternatives_of(found: Explanation) -> list[dict[str, Any]]:
-    """Other sets of effects: one effect is replaced by an alternative."""
-    odds = [(m.hypothesis.effect.id, m.odds) for m in found.members] + [(s.id, s.odds) for s in found.noise_effects]
+def alternatives_of(found: Explanation, known: Sequence[float]) -> list[dict[str, Any]]:
+    """Other sets of effects: one effect is replaced by an alternative. known: as in `Verdict`."""
+    members = zip(found.members, known or [1.0] * len(found.members), strict=True)
+    odds = [(m.hypothesis.effect.id, {effect: k * p for effect, p in m.odds.items()}) for m, k in members]
+    odds += [(s.id, s.odds) for s in found.noise_effects]
     ids = [effect for effect, _ in odds]
     return [
         {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}

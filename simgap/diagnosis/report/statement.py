@@ -7,13 +7,10 @@ import numpy as np
 
 from simgap.diagnosis.hypotheses.support import Always, From, Since, Support, Window
 from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.heldout import gain
 from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.two_sample import whiteness_of
 from simgap.diagnosis.inference.whiteness import Whiteness
-from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import figures, localisation, noise_figures, wording
 from simgap.diagnosis.report.answers import (
@@ -34,6 +31,7 @@ from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.adequacy import Verdict
 from simgap.diagnosis.validation.black_box import BlackBox
 from simgap.diagnosis.validation.forecast import Contestant
+from simgap.diagnosis.validation.indicators import heldout_gain
 from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 from simgap.effects.regime import words as rule
@@ -75,11 +73,9 @@ def statement(
     verdict, share = concluded.verdict, concluded.share
     # If no effect is named, the residuals are those of the refitted simulator.
     whiteness = whiteness_of(problem, found.base, found.baseline) if verdict == "unexplained" else found.whiteness
-    members = [(m, _effect(found, m, sessions.fitted)) for m in found.members]
-    effects = [e for (_, e), named in zip(members, concluded.named, strict=True) if named]
+    effects = [_effect(found, i, concluded, sessions.fitted) for i, named in enumerate(concluded.named) if named]
     effects += hidden_effects(found) if verdict == "missing_physics" else []
-    matches = [possible and not named for possible, named in zip(concluded.possible, concluded.named, strict=True)]
-    closest = [e for (m, e), match in zip(members, matches, strict=True) if match and _matches(found, m, e)]
+    closest = [_effect(found, i, concluded, sessions.fitted) for i in _closest(found, concluded)]
     noise_effects = [_noise_effect(s) for s in found.noise_effects]
     if verdict == "missing_physics":
         effects += noise_effects
@@ -95,9 +91,9 @@ def statement(
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
         "located": located(found, sessions.fitted, verdict, outcome.black_box, whiteness),
-        "effects": effects, "more_missing": concluded.something_else,
+        "effects": effects, "more_missing": concluded.something_else, "found": _found(found, concluded),
         "closest_matches": closest, "whiteness": _whiteness(found, whiteness), "nonparametric": _law(found),
-        "alternatives": alternatives_of(found),
+        "alternatives": alternatives_of(found, concluded.known),
         "experiment": plan and {"statement": wording.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
         "parameters": parameters_of(found) | {"moved": concluded.parameters_moved, "beyond": beyond_of(outcome.beyond)},
@@ -135,10 +131,16 @@ def evidence(found: Explanation, sessions: Sessions, outcome: Outcome, plan: Pla
     }
 
 
-def _matches(found: Explanation, member: Member, effect: dict[str, Any]) -> bool:
-    """Whether an unnamed effect is a closest match: it gains on held-out sessions, and its constants are determined."""
-    known = posterior.determined(found.problem, found.fit, member.hypothesis, found.sd, member.gain)
-    return known and effect["heldout_gain_nats"] > 0
+def _closest(found: Explanation, concluded: Verdict) -> list[int]:
+    """Unnamed effects that are closest matches: they gain on held-out sessions, and their constants are determined."""
+    problem, fit, sd = found.problem, found.fit, found.sd
+    unnamed = (i for i, possible in enumerate(concluded.possible) if possible and not concluded.named[i])
+    return [
+        i
+        for i in unnamed
+        if concluded.indicators[i].heldout > 0
+        and posterior.determined(problem, fit, found.members[i].hypothesis, sd, found.members[i].gain)
+    ]
 
 
 def _whiteness(found: Explanation, whiteness: Whiteness) -> dict[str, Any]:
@@ -161,8 +163,10 @@ def _noise_effect(s: NoiseEffect) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> dict[str, Any]:
-    problem, hypothesis = found.problem, member.hypothesis
+def _effect(found: Explanation, i: int, concluded: Verdict, fitted: Sequence[Recording]) -> dict[str, Any]:
+    """The i-th effect found."""
+    member, problem, known = found.members[i], found.problem, concluded.known[i]
+    hypothesis = member.hypothesis
     constants = posterior.constants(problem, found.fit, hypothesis, found.sd, member.gain)
     outputs = hypothesis.outputs or tuple(f.name for f in problem.augmented.simulator.schema.outputs)
     if isinstance(hypothesis.support, Window) and hypothesis.effect.event:
@@ -170,13 +174,23 @@ def _effect(found: Explanation, member: Member, fitted: Sequence[Recording]) -> 
     support = _support(found, hypothesis.support, fitted)
     return {
         "id": hypothesis.effect.id, "form": hypothesis.effect.form, "where": hypothesis.where,
-        "probability": member.odds[hypothesis.effect.id], "channels": list(hypothesis.channels),
-        "outputs": list(outputs), "statement": wording.effect(hypothesis, constants, support),
+        "probability": known * member.odds[hypothesis.effect.id], "outside": 1.0 - known,
+        "channels": list(hypothesis.channels), "outputs": list(outputs),
+        "statement": wording.effect(hypothesis, constants, support),
         "constants": constants, "credible_set": credible_set(member.odds),
-        "gain_nats": member.gain, "misfit_nats": member.misfit,
-        "heldout_gain_nats": gain(problem, found.unseen, evaluate(problem, member.without.v, ()), found.fit),
+        "gain_nats": member.gain, "misfit_nats": member.misfit, "heldout_gain_nats": heldout_gain(found, member),
         "support": support,
     }  # fmt: skip
+
+
+def _found(found: Explanation, concluded: Verdict) -> list[dict[str, Any]]:
+    """Every effect found, named or not, and what speaks for and against it."""
+    judged = zip(found.members, concluded.named, concluded.known, concluded.indicators, strict=False)
+    return [
+        {"id": m.hypothesis.effect.id, "form": m.hypothesis.effect.form, "where": m.hypothesis.where, "named": named,
+         "credible_set": credible_set(m.odds), "outside": 1.0 - known, "indicators": indicators._asdict()}
+        for m, named, known, indicators in judged
+    ]  # fmt: skip
 
 
 def _support(found: Explanation, support: Support, fitted: Sequence[Recording]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from simgap.diagnosis.config import CREDIBLE
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report.experiment import RUNS, Experiment
 from simgap.diagnosis.report.names import listed, nominal, number, quantity, title
@@ -109,9 +110,8 @@ def statement(diagnosis: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
     lines = _VERDICTS[diagnosis["verdict"]](diagnosis)
     if diagnosis["closest_matches"]:
-        lines += " Closest match, which explains only part of the mismatch: " + _statements(
-            diagnosis["closest_matches"]
-        )
+        matches = " ".join(e["statement"] for e in diagnosis["closest_matches"])
+        lines += f" Closest match, which explains only part of the mismatch: {matches}"
     if diagnosis["verdict"] == "missing_physics":
         lines += _improvement(diagnosis)
     return lines
@@ -192,18 +192,16 @@ _VERDICTS = {
 
 
 def _named(effect: dict[str, Any]) -> str:
-    """A named effect, and what else in its credible set it may be."""
+    """A named effect, what else in its credible set it may be, and how likely its cause is none of these."""
     others = [title(name) for name in effect["credible_set"] if name != effect["id"]]
-    if not others:
-        return effect["statement"]
-    return (
-        f"{effect['statement']} The recordings cannot tell this from {listed(others)}: that it is "
-        f"{title(effect['id'])} has a probability of {effect['probability']:.0%}."
-    )
-
-
-def _statements(effects: Sequence[dict[str, Any]]) -> str:
-    return " ".join(e["statement"] for e in effects)
+    outside = effect.get("outside", 0.0)
+    lines = [effect["statement"]]
+    if others:
+        lines.append(f"The recordings cannot tell this from {listed(others)}: that it is {title(effect['id'])} has a "
+                     f"probability of {effect['probability']:.0%}.")  # fmt: skip
+    if outside > 1 - CREDIBLE:
+        lines.append(f"With a probability of {outside:.0%} the cause is another one, which looks like it.")
+    return " ".join(lines)
 
 
 def _would_show(diagnosis: dict[str, Any]) -> str:

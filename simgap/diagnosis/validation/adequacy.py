@@ -4,12 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.config import EXPLAINED, LARGE, LIKELY, WELL_DETERMINED
-from simgap.diagnosis.inference.alternatives import Member
+from simgap.diagnosis.config import EXPLAINED, KNOWN
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.posterior import differs_from_zero
-from simgap.diagnosis.inference.whiteness import touched
 from simgap.diagnosis.validation import scores
+from simgap.diagnosis.validation.calibration import probability
+from simgap.diagnosis.validation.indicators import Indicators, indicators
 from simgap.diagnosis.validation.scores import Judged, Judgement
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 
@@ -21,7 +21,9 @@ class Verdict(NamedTuple):
     something_else: whether more is missing than the named effects. share: of the black box's one-step gain that the
     members reach. beaten_at: horizons [rows] at which a black box is significantly better than all other models on
     held-out sessions. worse_at: horizons at which the second model of a pair is worse than the first. parameters_moved:
-    whether refitting the parameters alone improves the held-out sessions.
+    whether refitting the parameters alone improves the held-out sessions. indicators: of each member, what speaks for
+    and against it; known: probability that the cause is among its names (see `calibration`). Both are empty if there
+    are no scores.
     """
 
     verdict: str
@@ -32,6 +34,8 @@ class Verdict(NamedTuple):
     beaten_at: tuple[int, ...]
     worse_at: dict[tuple[str, str], list[int]]
     parameters_moved: bool
+    indicators: tuple[Indicators, ...] = ()
+    known: tuple[float, ...] = ()
 
 
 def conclude(
@@ -51,8 +55,12 @@ def conclude(
     share = None if found.baseline else scores.explained_share(refitted, augmented, box, rng)
     beaten = () if found.baseline else tuple(scores.beats(list(heldout.values()), box))
     low_share = share is not None and share["ci95"][1] < EXPLAINED
+    marks = tuple(indicators(found, judged, i) for i in range(len(found.members)))
+    known = tuple(map(probability, marks))
     named = tuple(
-        (beyond is None or m.hypothesis.effect.id in beyond.ids) and _is_named(found, judged, i, low_share, rng)
+        (beyond is None or m.hypothesis.effect.id in beyond.ids)
+        and known[i] >= KNOWN
+        and _is_named(found, judged, i, rng)
         for i, m in enumerate(found.members)
     )
     moved = scores.difference(heldout["nominal"], refitted, rng)["ci95"][0] > 0
@@ -72,7 +80,7 @@ def conclude(
     something_else = (not hidden and (low_share or bool(beaten))) or any(
         p and not n for p, n in zip(possible, named, strict=True)
     )
-    return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved)
+    return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved, marks, known)
 
 
 def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sensitivity) -> str:
@@ -90,43 +98,20 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
     return "parameters_only" if moved else "nothing"
 
 
-def _is_named(found: Explanation, judged: Judgement, i: int, low_share: bool, rng: np.random.Generator) -> bool:
-    """Whether a member is named: it explains most of the mismatch, or stands out whatever else is missing; and the
-    search before found it too, if there were several.
-
-    An effect that makes forecasts of several steps worse is not named, however well it predicts the next row: worse
-    significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both. Nor is one that makes none of them better
-    while something is left without a name.
-    """
+def _is_named(found: Explanation, judged: Judgement, i: int, rng: np.random.Generator) -> bool:
+    """Whether a likely cause may have its name: the search before found it too, if there were several, its constants
+    are plausible, and forecasts of several steps do not become worse by it, however well it predicts the next row:
+    significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both."""
     m, pairs = found.members[i], _pairs(judged, i)
     if m.hypothesis.effect.id in found.unsettled or found.stands_in(m):
-        return False
-    # Where something unnamed is left, a gain of the likelihood alone may be that of a law which stands in for it.
-    left_over = low_share or found.whiteness.nats.any() or found.law.terms
-    if left_over and not any(c["value"] < 0 for c in scores.changes(*pairs[0], rng, _outputs(found, m))):
         return False
     worse_on_both = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
     if any(h > 1 for h in worse_on_both) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
         return False
-    return (found.names(m) and not low_share) or _stands_out(found, m, *pairs[0], rng)
+    return bool(differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd))
 
 
 def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judged, Judged]]:
     """Scores of the model without a member and of the one with it, on held-out and on fitted sessions."""
     heldout, fitted = judged.refitted_without[i]
     return (heldout, judged.heldout["augmented"]), (fitted, judged.fitted["augmented"])
-
-
-def _outputs(found: Explanation, member: Member) -> list[int]:
-    """The outputs that an effect touches."""
-    return np.flatnonzero(touched(found.problem.augmented.layout, found.fit, member.without)).tolist()
-
-
-def _stands_out(found: Explanation, m: Member, without: Judged, with_it: Judged, rng: np.random.Generator) -> bool:
-    """Whether an effect improves held-out forecasts at every horizon, by `LARGE` at one, with a well-known constant."""
-    if m.odds[m.hypothesis.effect.id] < LIKELY or m.misfit > m.gain or not scores.surely_likelier(without, with_it):
-        return False
-    if not differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd, WELL_DETERMINED):
-        return False
-    changes = scores.changes(without, with_it, rng, _outputs(found, m))
-    return all(c["ci95"][1] < 0 for c in changes) and min(c["value"] for c in changes) < -LARGE

@@ -95,7 +95,7 @@ def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str
     draws = resample(_unit(judged.session), rng)
     table = {"nll_1": interval(averages_known(judged.nll, draws))}
     for k in range(judged.error.shape[1]):
-        table[f"error_{HORIZONS[k]}"] = interval(_relative_error(judged, k, draws))
+        table[f"error_{HORIZONS[k]}"] = interval(relative_error(judged, k, draws))
     last = judged.error.shape[1] - 1
     for b, body in enumerate(layout.bodies):
         axes = [int(i) for i in layout.position[b, [X, Y, Z]] if i >= 0]
@@ -106,7 +106,7 @@ def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str
     return table
 
 
-def _relative_error(
+def relative_error(
     judged: Judged, k: int, draws: Draws | None = None, outputs: Sequence[int] | None = None
 ) -> Float[np.ndarray, " draws"]:
     """Root mean square over outputs of (RMS error / RMS motion); 1 is no better than predicting no motion.
@@ -149,7 +149,7 @@ def changes(a: Judged, b: Judged, rng: np.random.Generator, outputs: Sequence[in
     draws = resample(_unit(a.session), rng)
 
     def change(k: int) -> Float[np.ndarray, " draws"]:
-        before, after = (_relative_error(j, k, draws, outputs) for j in (a, b))
+        before, after = (relative_error(j, k, draws, outputs) for j in (a, b))
         from_infinite = np.where(np.isinf(after), 0.0, -1.0)
         with np.errstate(invalid="ignore"):
             return np.where(np.isinf(before), from_infinite, after / np.maximum(before, 1e-12) - 1)
@@ -164,13 +164,13 @@ def worse_at(a: Judged, b: Judged, rng: np.random.Generator) -> list[int]:
 
 def dearer_at(a: Judged, b: Judged) -> set[int]:
     """The horizons [rows] at which b's error exceeds a's by more than `LEAST_SHARE`, significantly or not."""
-    errors = ([_relative_error(j, k)[0] for j in (a, b)] for k in range(a.error.shape[1]))
+    errors = ([relative_error(j, k)[0] for j in (a, b)] for k in range(a.error.shape[1]))
     return {h for h, (before, after) in zip(horizons(a), errors, strict=True) if after > (1 + LEAST_SHARE) * before}
 
 
 def explodes(a: Judged, b: Judged) -> bool:
     """Whether forecasts diverge with b at a horizon at which they do not with a."""
-    errors = ([_relative_error(j, k)[0] for k in range(a.error.shape[1])] for j in (a, b))
+    errors = ([relative_error(j, k)[0] for k in range(a.error.shape[1])] for j in (a, b))
     return any(np.isfinite(x) and not np.isfinite(y) for x, y in zip(*errors, strict=True))
 
 
@@ -185,7 +185,7 @@ def beats(references: Sequence[Judged], box: Judged) -> list[int]:
 
 def _significantly_smaller(a: Judged, b: Judged, k: int, level: float) -> bool:
     """Whether b's error is smaller than a's at horizon `k` by more than `MARGIN`, and significantly so."""
-    if not _relative_error(b, k)[0] < (1 - MARGIN) * _relative_error(a, k)[0]:
+    if not relative_error(b, k)[0] < (1 - MARGIN) * relative_error(a, k)[0]:
         return False
     moved = np.maximum((a.moved[:, k] ** 2).mean(0), 1e-12)
     with np.errstate(over="ignore"):  # a forecast that diverged

@@ -103,22 +103,21 @@ def test_noise_about_a_refit_that_forecasts_worse_is_no_finding(refit: float, ve
     assert conclude(found, Judgement(heldout, heldout, ()), seen, None, rng).verdict == verdict
 
 
-@pytest.mark.parametrize(
-    ("error", "left_over", "named"), [(1.003, False, True), (1.003, True, False), (0.9, True, True)]
-)
-def test_what_improves_no_forecast_has_no_name_while_something_is_left(
-    error: float, left_over: bool, named: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("far", "unsettled", "named"), [(0.9, False, True), (1.1, False, False), (0.9, True, False)])
+def test_what_makes_forecasts_worse_or_was_not_found_before_has_no_name(
+    far: float, unsettled: bool, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A law that stands in for another gains likelihood, and predicts nothing better."""
-    monkeypatch.setattr(adequacy, "_outputs", lambda *_: [0, 1, 2])
-    without, augmented = judged(noise(0)), judged(error * noise(0))
-    member = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="sensor_scale")))
+    monkeypatch.setattr(adequacy, "differs_from_zero", lambda *_: True)
+    error = noise(0)
+    error[:, 2] *= far
+    without, augmented = judged(noise(0)), judged(error)
+    member: Any = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="sensor_scale")))
+    ids = frozenset({"sensor_scale"} if unsettled else ())
     found: Any = SimpleNamespace(
-        members=[member], unsettled=frozenset(), names=lambda _: True, law=SimpleNamespace(terms=()),
-        whiteness=SimpleNamespace(nats=np.array([float(left_over)])), stands_in=lambda _: False,
-    )  # fmt: skip
+        members=[member], unsettled=ids, stands_in=lambda _: False, problem=None, fit=None, sd=None
+    )
     of = Judgement({"augmented": augmented}, {"augmented": augmented}, ((without, without),))
-    assert adequacy._is_named(found, of, 0, False, np.random.default_rng(0)) == named
+    assert adequacy._is_named(found, of, 0, np.random.default_rng(0)) == named
 
 
 def test_two_pieces_are_too_few_to_be_sure() -> None:

@@ -40,14 +40,8 @@ def test_a_channel_is_at_the_axis_that_it_drives() -> None:
 
 @pytest.mark.parametrize(
     ("number", "families", "named"),
-    [
-        (
-            16,
-            ("dispersion",),
-            {"lag"},
-        ),  # three poles: old measurements and another rule of integration beside it before
-        (17, ("lag", "one_sided"), {"lag", "asymmetric_gain"}),  # two poles, a rounded kink: a delay in addition before
-    ],
+    [(16, ("dispersion",), {"delay"}), (351, ("friction", "lag"), {"coulomb_friction", "lag"})],
+    ids=["three poles", "a rounded friction, and a lag of two poles"],
 )
 def test_what_a_law_is_wrong_by_has_no_name(number: int, families: tuple[str, ...], named: set[str]) -> None:
     case = draw(number)

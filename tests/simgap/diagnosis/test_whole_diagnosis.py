@@ -13,6 +13,8 @@ from small import RICH, acting, sessions
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
 from simgap.diagnosis.inference.explain import split
+from simgap.diagnosis.validation.calibration import probability
+from simgap.diagnosis.validation.indicators import Indicators
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording, Sessions
 
@@ -51,7 +53,8 @@ def test_a_planted_delay_is_told() -> None:
 def test_a_planted_delay_is_credible_and_nothing_else_is() -> None:
     (effect,) = delayed().statement["effects"]
     assert effect["credible_set"] == ["delay"]
-    assert effect["probability"] > 0.95
+    assert effect["probability"] > 0.9
+    assert effect["outside"] == pytest.approx(1 - effect["probability"], abs=0.01)
     assert effect["gain_nats"] > 100
     assert effect["heldout_gain_nats"] > 30
     for other in delayed().statement["alternatives"]:
@@ -119,6 +122,9 @@ def test_the_statement_is_json_with_all_keys(case) -> None:
     }  # fmt: skip
     assert stated["schema"] == 2
     assert stated["simulator"] == "spot"
+    for effect in stated["found"]:
+        assert effect["named"] == (effect["id"] in [e["id"] for e in stated["effects"]])
+        assert effect["outside"] == 1 - probability(Indicators(**effect["indicators"]))
     assert set(stated["located"]) >= {"outputs", "regimes", "intervals"}
     assert set(stated["parameters"]) >= {"nominal", "fitted"}
     assert set(stated["fit"]) >= {"heldout_sessions", "models", "explained_share"}

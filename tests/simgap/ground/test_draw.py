@@ -12,6 +12,11 @@ from simgap.ground.machines import MACHINES, Machine
 CASES = [draw(number) for number in range(12)]
 
 
+def still(machine: Machine) -> np.ndarray:
+    """Velocities that nothing shakes."""
+    return np.zeros((ground.WARM + ground.ROWS, machine.velocities))
+
+
 def test_a_case_is_drawn_from_its_number_alone() -> None:
     again = draw(CASES[3].number)
     assert again.families == CASES[3].families
@@ -42,11 +47,22 @@ def test_the_simulator_and_the_machine_differ_by_less_than_any_noise(machine: Ma
     """Without laws and noise, a row of the simulator is a row of the machine."""
     rng = np.random.default_rng(0)
     params = np.array([(p.low + 2 * p.high) / 3 for p in machine.parameters])
-    clean = ground._simulated(machine, params, [], ground._commands(machine, rng))
+    clean = ground._simulated(machine, params, [], ground._commands(machine, rng), still(machine))
     predicted = np.asarray(jax.vmap(lambda s, u: machine.step(params, s, u))(clean.state[:-1], clean.command[:-1]))
     change = np.std(np.diff(clean.state, axis=0), 0)
     off = np.sqrt(np.mean((predicted - clean.state[1:]) ** 2, 0))
     assert (off < 0.1 * ground.NOISE[0] * change).all()
+
+
+def test_shakes_change_the_velocities_and_are_none_of_the_laws() -> None:
+    machine = MACHINES[0]
+    params = np.array([(p.low + p.high) / 2 for p in machine.parameters])
+    command, shakes = ground._commands(machine, np.random.default_rng(1)), still(machine)
+    shakes[-2] = 0.1
+    calm, shaken = (ground._simulated(machine, params, [], command, s) for s in (0 * shakes, shakes))
+    np.testing.assert_allclose(shaken.state[-1] - calm.state[-1], [0, 0.1], atol=1e-12)
+    np.testing.assert_array_equal(shaken.state[:-1], calm.state[:-1])
+    assert not shaken.changed.any()
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -58,7 +74,7 @@ def test_a_law_changes_what_the_machine_does_and_more_with_its_size(name: str) -
     def change(size: float) -> float:
         law = FAMILIES[name].draw(np.random.default_rng(2), size, machine.time_step, 5.0)
         law.begin(np.random.default_rng(3))
-        return float(np.abs(ground._simulated(machine, params, [law], command).changed).mean())
+        return float(np.abs(ground._simulated(machine, params, [law], command, still(machine)).changed).mean())
 
     assert 0 < change(0.05) < change(0.4)
 

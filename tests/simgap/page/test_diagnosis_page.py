@@ -97,7 +97,7 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
         "statement": "Beyond a reach of 0.93 m the hand cannot follow outward commands.",
         "constants": [{"name": "reach", "value": 0.931, "unit": "m", "ci95": [0.922, 0.94]}],
         "credible_set": ["reach_limit", "saturation"], "gain_nats": 164.2, "heldout_gain_nats": 58.3,
-        "support": {"kind": "from", "from_s": 12.3},
+        "support": {"kind": "from", "from_s": 12.3}, "outside": 0.12,
     }  # fmt: skip
     effects = ["lag", "rate_limit", "saturation", "reach_limit", "gain", "slope", "viscous_drag", "gait_oscillation"]
     diagnosis = {
@@ -269,8 +269,9 @@ def test_missing_physics_is_described_from_headline_to_notes(pages: dict[str, st
              "52 % of all excess falls where command of the base just changed, which is 20 % of the rows",
              "walk_a, 6.7 to 9.3 s (12 % of all excess)", "What is missing?", "97 % probable", "0.134 s",
              "0.129 to 0.139",
-             "812.0 nats on the sessions fitted, 301.4 nats on held-out", "credible set is delay alone",
-             "from 12.3 s on", "One of: reach limit, saturation", "How good are the forecasts?",
+             "812.0 nats on the sessions fitted, 301.4 nats on held-out", "Of the known effects, delay alone fits",
+             "from 12.3 s on", "One of: reach limit, saturation", "With a probability of 12 % the cause is another one",
+             "How good are the forecasts?",
              "removes 93 % (95 % interval 88 % to 97 %)", "Error after 50 steps", "Error of base after 50 steps m",
              "What else could it be?", "delay with saturation", "The experiment that would decide",
              "experiment.csv", "How did the parameters change?", "3 of 24 parameters moved",

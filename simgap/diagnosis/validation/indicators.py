@@ -1,0 +1,80 @@
+"""What speaks for and against an effect that was found, in a few numbers without unit."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simgap.diagnosis.inference.alternatives import Member
+from simgap.diagnosis.inference.explanation import Explanation
+from simgap.diagnosis.inference.heldout import gain
+from simgap.diagnosis.inference.whiteness import touched
+from simgap.diagnosis.likelihood.problem import evaluate
+from simgap.diagnosis.validation import scores
+from simgap.diagnosis.validation.scores import Judged, Judgement
+
+TINY = 1e-3
+"""Ratios below this say no more than it: the errors of simulated machines can vanish."""
+
+
+class Indicators(NamedTuple):
+    """What speaks for and against an effect.
+
+    gain: ln of its gain [nats]. lesser: ln of the largest gain of an effect found over its own: what comes after a
+    strong effect may only mend the form of its law. misfit: ln of one plus what only a bent law would gain [nats].
+    bending: the share of that in the gain of the bent law. heldout: gain in a held-out row over that in a fitted one.
+    next_row, far: ln of the error with the effect over the one without, on held-out sessions and in the outputs it
+    improves, after one row and after the most rows. nameless: share of what there is to explain in these outputs that
+    is left, as predictable residuals or a law without a name. rivals: ln of the number of names compared, its own among
+    them: these come near.
+    """
+
+    gain: float
+    lesser: float
+    misfit: float
+    bending: float
+    heldout: float
+    next_row: float
+    far: float
+    nameless: float
+    rivals: float
+
+
+def indicators(found: Explanation, judged: Judgement, i: int) -> Indicators:
+    """Of the i-th effect found."""
+    m = found.members[i]
+    most = max(other.gain for other in found.members)
+    outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
+    pair = judged.refitted_without[i][0], judged.heldout["augmented"]
+    return Indicators(
+        gain=_log(m.gain, 1.0),
+        lesser=_log(most, m.gain),
+        misfit=float(np.log1p(m.misfit)),
+        bending=m.misfit / max(m.gain + m.misfit, TINY),
+        heldout=_heldout(found, m),
+        next_row=_error(pair, 0, outputs),
+        far=_error(pair, -1, outputs),
+        nameless=1.0 - found.named_share(m),
+        rivals=float(np.log(len(m.odds))),
+    )
+
+
+def heldout_gain(found: Explanation, member: Member) -> float:
+    """Gain of an effect on held-out sessions [nats], with all constants as fitted."""
+    return gain(found.problem, found.unseen, evaluate(found.problem, member.without.v, ()), found.fit)
+
+
+def _heldout(found: Explanation, member: Member) -> float:
+    held, fitted = (max(int(np.asarray(c.counts).sum()), 1) for c in (found.unseen, found.problem.chunks))
+    return heldout_gain(found, member) / held / (max(member.gain, TINY) / fitted)
+
+
+def _error(pair: tuple[Judged, Judged], k: int, outputs: list[int]) -> float:
+    before, after = (scores.relative_error(j, k, outputs=outputs)[0] for j in pair)
+    return _log(after, before)
+
+
+def _log(a: float, b: float) -> float:
+    """ln(a / b), with neither negligible."""
+    if not (np.isfinite(a) and np.isfinite(b)):
+        return 0.0 if np.isfinite(a) == np.isfinite(b) else float(np.copysign(-np.log(TINY), np.isfinite(b) - 0.5))
+    return float(np.log(max(a, TINY) / max(b, TINY)))

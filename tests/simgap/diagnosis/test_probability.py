@@ -1,0 +1,47 @@
+"""The probability that the cause is among the names of an effect, from what speaks for and against it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simgap.diagnosis.config import KNOWN
+from simgap.diagnosis.validation.calibration import TERMS, probability, within
+from simgap.diagnosis.validation.indicators import Indicators
+
+PLAIN = Indicators(
+    gain=np.log(300), lesser=0, misfit=np.log(2), bending=0, heldout=1, next_row=np.log(0.8), far=np.log(0.3),
+    nameless=0, rivals=np.log(3),
+)  # fmt: skip
+"""An effect that explains all there is to explain."""
+
+indicators = st.tuples(*[st.floats(-1e6, 1e6)] * len(Indicators._fields)).map(lambda values: Indicators(*values))
+
+
+def test_what_explains_all_there_is_has_its_name() -> None:
+    assert probability(PLAIN) > 0.9
+
+
+@pytest.mark.parametrize(
+    "against",
+    [
+        {"misfit": np.log(450), "bending": 0.6, "nameless": 0.5},
+        {"lesser": np.log(50), "far": 0.0, "next_row": 0.0},
+        {"far": np.log(1.003), "next_row": 0.0, "nameless": 0.7},
+    ],
+    ids=["its law must bend and much is left", "it mends a stronger one", "it improves no forecast and much is left"],
+)
+def test_what_stands_in_for_something_else_has_none(against: dict[str, float]) -> None:
+    assert probability(PLAIN._replace(**against)) < KNOWN
+
+
+@given(indicators)
+def test_it_is_a_probability_and_beyond_experience_that_at_its_end(of: Indicators) -> None:
+    p = probability(of)
+    assert 0 < p < 1
+    assert p == probability(within(of))
+
+
+@pytest.mark.parametrize("name", ["lesser", "misfit", "far", "nameless", "rivals"])
+def test_what_speaks_against_a_name_makes_it_less_likely(name: str) -> None:
+    assert probability(PLAIN._replace(**{name: TERMS[name].high})) < probability(PLAIN)

@@ -1,0 +1,67 @@
+"""The regression behind the probability of a name, fitted to the table of the training ground."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawn import drawn
+
+from simgap.diagnosis.validation.calibration import INTERCEPT, TERMS
+from simgap.diagnosis.validation.indicators import Indicators
+from simgap.formats.documents import read_json
+from tasks.calibration import FIT, LEAST, PICTURE, Found, calibrate
+
+ROOT = Path(__file__).parents[2]
+FAMILIES = ("friction", "delay", "cogging", "gusts")
+
+
+def row(case: int, families: str, right: list[int], indicators: list[Indicators], code: str = "a") -> dict[str, str]:
+    columns = {name: "; ".join(str(getattr(i, name)) for i in indicators) for name in Indicators._fields}
+    return {"code": code, "case": str(case), "families": families, "right": "; ".join(map(str, right)), **columns}
+
+
+def drawn_rows(n: int, seed: int = 0) -> list[dict[str, str]]:
+    """Effects whose names are right by a known law: the more a law bends, the less."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for case in range(n):
+        found = [Indicators(**{k: rng.uniform(t.low, t.high) for k, t in TERMS.items()}) for _ in range(2)]
+        right = [int(rng.random() < 1 / (1 + np.exp(6 * i.bending - 3))) for i in found]
+        rows.append(row(case, FAMILIES[case % 4], right, found))
+    return rows
+
+
+def test_a_known_law_is_found_again(tmp_path: Path) -> None:
+    calibrate(drawn_rows(1500), tmp_path)
+    fit = read_json(tmp_path / FIT)
+    assert fit["effects"] == 3000
+    over_range = {name: fit["weights"][name] * (t.high - t.low) for name, t in TERMS.items()}
+    assert fit["intercept"] + 0.5 * fit["weights"]["bending"] == pytest.approx(0, abs=0.7)
+    assert over_range.pop("bending") == pytest.approx(-6, rel=0.15)
+    assert max(map(abs, over_range.values())) < 0.8
+    assert fit["calibration_error"] < 0.04
+    assert fit["log_loss_of_families_held_out"] < fit["log_loss_of_the_share_alone"] - 0.1
+    for b in fit["bins"]:
+        assert b["right"] == pytest.approx(b["stated"], abs=4 * np.sqrt(b["stated"] * (1 - b["stated"]) / b["effects"]))
+    assert drawn(tmp_path / PICTURE)
+
+
+def test_with_few_effects_nothing_is_fitted(tmp_path: Path) -> None:
+    assert f"at least {LEAST}" in calibrate(drawn_rows(LEAST // 2 - 1), tmp_path)
+    assert not (tmp_path / FIT).exists()
+
+
+def test_of_several_versions_of_a_case_the_last_counts_and_a_case_without_effects_has_none() -> None:
+    end = Indicators(**{name: t.high for name, t in TERMS.items()})
+    rows = [row(0, "delay", [1, 1], [end, end]), row(1, "", [], []), row(0, "delay; gusts", [0], [end], "b")]
+    found = Found.of(rows)
+    assert found.families == [("delay", "gusts")]
+    assert found.right.tolist() == [False]
+    assert found.of_family("gusts").all()
+    assert not found.of_family("friction").any()
+
+
+def test_the_code_has_the_weights_that_were_fitted() -> None:
+    fit = read_json(ROOT / FIT)
+    assert pytest.approx(fit["intercept"], abs=0.05) == INTERCEPT
+    assert {name: t.weight for name, t in TERMS.items()} == pytest.approx(fit["weights"], abs=0.05)
