@@ -65,7 +65,7 @@ def bnn() -> models.BNN:
     keys = iter(jax.random.split(jax.random.key(0), 4))
     spread = lambda n: jnp.exp(0.3 * jax.random.normal(next(keys), (n,)))  # noqa: E731
     return models.BNN(
-        networks.init(jax.random.key(1), 5, (31, 8, 13)),
+        networks.init(jax.random.key(1), 5, (31, 16, 13)),
         scale=spread(13),
         dof=jnp.array([jnp.inf] * 5 + [1.2] * 4 + [7.0] * 4),
         normalisation=Normalisation(jnp.full(31, 0.5), spread(31), jnp.full(13, -0.2), spread(13)),
