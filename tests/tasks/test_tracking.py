@@ -231,10 +231,11 @@ def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):
     assert facts(live).info.status == "FINISHED"
 
 
-@pytest.mark.parametrize("model", [bnn(), fitted_spot()], ids=["bnn", "fitted_spot"])
+@pytest.mark.parametrize("make", [bnn, fitted_spot])
 def test_a_logged_model_loads_and_predicts(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: models.Model
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[], models.Model]
 ):
+    model = make()
     save_model(tmp_path / "model.npz", model)
     with cell_run(store, "none", "model", {}) as run:
         run.params({"seed": 1})
