@@ -62,9 +62,9 @@ def until_it_answers(server: subprocess.Popen[bytes], address: str) -> None:
             time.sleep(0.1)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def prefect_server() -> Iterator[dict[str, str]]:
-    """A Prefect server for a test process; gives the environment in which the commands of tests use it.
+    """A Prefect server; gives the environment in which the commands of tests use it.
 
     A command without it tells nobody of its flows and tasks.
     """

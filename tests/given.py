@@ -1,17 +1,37 @@
 """What several files of tests are given."""
 
+import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 from simgap.models import FittedSpot
 from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import Spot
+
+TRAINING_SIZES: dict[str, Any] = {
+    # One evaluation: steps after it are a program of their own.
+    "bnn": {"max_training_steps": 100, "evaluate_every": 100, "measurement_sets": 8, "hidden_layer_sizes": [16]},
+    "sim_model": {"training_steps": 100, "evaluate_every": 100},
+    "residual": {"simulator_steps": 50, "training_steps": 50, "evaluate_every": 25, "outputscales": [0.1],
+                 "lengthscales": [2.0], "horizon": 10},
+}  # fmt: skip
+"""Training in a small size, as overrides of the project's parameters. Wherever the size does not matter, tests take
+this one, and those below: programs take longer to compile than to run, and are compiled once for all tests."""
+POLICY_SIZES: dict[str, Any] = {
+    "learning": {"environment_steps": 640, "environments": 16, "updates": 16, "episode_length": 20,
+                 "steps_between_updates": 4, "min_replay": 128, "max_replay": 1000, "evaluations": 3,
+                 "evaluation_environments": 8},
+    "sac": {"policy_hidden_layers": [8], "critic_hidden_layers": [8]},
+}  # fmt: skip
+"""The same for a policy's learning."""
 
 
 def spot_recordings() -> Path:
@@ -21,6 +41,14 @@ def spot_recordings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recordings of a real Spot in {folder}; name their folder in SIMGAP_SPOT_RECORDINGS")
     return folder
+
+
+def drawn(draw: Callable[..., Array], key: Array, shape: tuple[int, ...], **bounds: float) -> Array:
+    """`draw(key, shape)` of `jax.random`, the same numbers drawn in a row.
+
+    In rows and columns, drawing takes seconds to compile, anew for every shape.
+    """
+    return draw(key, (math.prod(shape),), **bounds).reshape(shape)
 
 
 @contextmanager

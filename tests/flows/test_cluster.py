@@ -18,7 +18,7 @@ from tasks.params import load_params
 from tasks.train import grid
 from tasks.workspace import Workspace
 
-STEPS = 50_000
+STEPS = 25_000
 TRAIN = {"models": ["sim_model"], "sample_sizes": [40], "seeds": [0, 1, 2, 3],
          "sim_model": {"training_steps": STEPS, "evaluate_every": 100}}  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The flow `diagnose`: a diagnosis of a folder's recordings is a run in MLflow, with its simulator as a model."""
+"""Diagnoses in flows that Prefect is told of: a folder's as a run in MLflow, and those that cells are given."""
 
 import sys
 from collections.abc import Iterator
@@ -10,16 +10,23 @@ import mlflow.pyfunc
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
+from killing import worker
 from mlflow import MlflowClient
 from prefect.settings import PREFECT_API_URL, temporary_settings
+from test_pipeline import ROOT, TINY, children, read_session
 
 from examples.drive import DRIVE
 from examples.record import record
 from flows.diagnose import diagnose_folder
 from simgap.formats.arrays import load_arrays
-from simgap.formats.documents import read_json
+from simgap.formats.documents import read_json, write_json
 from simgap.types import SimgapError
 from tasks import diagnose
+from tasks.params import load_params
+from tasks.workspace import Cell, Share, Workspace
+
+DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +46,8 @@ def run_id(folder: Path, prefect_server: dict[str, str]) -> Iterator[str]:
         patch.chdir(folder)
         patch.syspath_prepend(str(folder))
         yield diagnose_folder(Path("rail"), "mine:DRIVE", None, None, Path("found"))
-    sys.modules.pop("mine", None)
+    for name in ("mine", "own_mine"):
+        sys.modules.pop(name, None)
 
 
 def test_the_diagnosis_is_a_run_in_mlflow(folder: Path, run_id: str) -> None:
@@ -115,3 +123,44 @@ def test_wrong_input_is_refused_before_any_work(
     with pytest.raises(SimgapError, match=words):
         diagnose_folder(**{**right, "out": Path("unused"), **given})
     assert not (folder / "unused").exists()
+
+
+def test_models_that_are_given_a_diagnosis(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str]
+) -> None:
+    """One diagnosis serves both; where the recordings are too few, cells fail, are named and lose no other."""
+    train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
+    policy = {**TINY["policy"], "models": ["residual_diagnosed"], "sample_sizes": [80, 100_000]}
+    overrides = {**TINY, "train": train, "policy": policy}
+    workspace = Workspace(tmp_path, "virtual")
+    stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
+    write_json(stale, {"fingerprint": "of other parameters"})
+    params = load_params(ROOT / "params.yaml", overrides).model_dump(mode="json")
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
+    stages = ("recordings", "transitions", "train", "score", "report", "policy")
+    with (tmp_path / "output.txt").open("w") as printed, worker(prefect_server, stages, printed) as work:
+        statuses = {stage: work(tmp_path, f"{stage} virtual") for stage in stages}
+    output = (tmp_path / "output.txt").read_text()
+    assert {stage for stage, status in statuses.items() if status} == {"train", "policy"}, output
+    assert "4 of 8 cells failed" in output
+    assert "1 of 2 policies failed" in output
+    assert "N = 100000 transitions are asked for" in output
+    assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80, 80]
+    assert not stale.exists()
+    assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
+    found = read_json(workspace.effects(Share(80, 0)))["effects"]
+
+    runs = children(tmp_path).set_index("name")
+    for model in DIAGNOSED:
+        run = runs.loc[Cell("student_t", model, 80, 0).name]
+        assert (run["diagnosis"], run["effects"]) == ("diagnosis-N80-s0", ", ".join(found) or "none")
+        assert np.isfinite(run["nll"])
+        assert run["prefect_flow_run"]
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path / 'mlflow.db'}")
+    run_id = runs.loc[Cell("student_t", "sim_model_diagnosed", 80, 0).name, "id"]
+    predicted = mlflow.pyfunc.load_model(f"runs:/{run_id}/model").predict(read_session(workspace))
+    assert np.isfinite(predicted[2:].to_numpy()).all()
+
+    report = (workspace.reports / "report.md").read_text()
+    assert f"N = 80: {', '.join(found) or 'none'} (seed 0)" in report
+    assert "SIM-MODEL + diagnosed: **level at 1** of 1 N against SIM-MODEL" in report

@@ -125,7 +125,7 @@ def brought_up(folder: Path, host: str = "127.0.0.1") -> Iterator[Place]:
     params = load_params(ROOT / "params.yaml", tiny).model_dump(mode="json")
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
     (folder / "pipelines").mkdir()
-    (folder / "pipelines" / "small.yaml").write_text("train: {sim_model: {training_steps: 50}}\n")
+    (folder / "pipelines" / "small.yaml").write_text("train: {sim_model: {training_steps: 50, evaluate_every: 50}}\n")
     place = Place(folder, (free_port(), free_port()), host)
     status, output = place.up()
     try:

@@ -19,17 +19,17 @@ import pandas as pd
 import pytest
 import yaml
 from drawn import drawn
-from killing import worker
+from given import POLICY_SIZES, TRAINING_SIZES
 from mlflow import MlflowClient
 
 from simgap import scores
-from simgap.formats.documents import read_json, write_json
+from simgap.formats.documents import read_json
 from simgap.simulators.spot import SCHEMA
 from tasks import recordings, transitions
 from tasks.files.models import load_model
 from tasks.params import Params, VirtualParams, load_params
 from tasks.policy import input_columns as input_columns_of_policies
-from tasks.workspace import SPLITS, Cell, Share, Workspace
+from tasks.workspace import SPLITS, Cell, Workspace
 
 ROOT = Path(__file__).parents[2]
 TINY: dict[str, Any] = {
@@ -40,10 +40,7 @@ TINY: dict[str, Any] = {
         "noises": ["student_t"],
         "sample_sizes": [40, 80],
         "seeds": [0],
-        "bnn": {"max_training_steps": 200, "evaluate_every": 50, "measurement_sets": 8, "hidden_layer_sizes": [16]},
-        "sim_model": {"training_steps": 100, "evaluate_every": 50},
-        "residual": {"simulator_steps": 50, "training_steps": 50, "evaluate_every": 25, "outputscales": [0.1],
-                     "lengthscales": [2.0], "horizon": 10},
+        **TRAINING_SIZES,
     },
     "score": {"horizons": [5, 10]},
     "policy": {
@@ -51,18 +48,13 @@ TINY: dict[str, Any] = {
         "models": ["sim_model", "sim_fsvgd"],
         "sample_sizes": [80],
         "seeds": [0],
-        "learning": {"environment_steps": 640, "environments": 16, "updates": 16, "episode_length": 20,
-                     "steps_between_updates": 4, "min_replay": 128, "max_replay": 1000, "evaluations": 2,
-                     "evaluation_environments": 8},
-        "sac": {"policy_hidden_layers": [8], "critic_hidden_layers": [8]},
+        **POLICY_SIZES,
     },
     "track": {"ellipse": {"rounds": 0.3}, "helix": {"turns": 0.5}, "proportional": {"gains": [1.0, 2.0]}},
 }  # fmt: skip
 MODELS, SIZES = ("sim_model", "fsvgd", "sim_fsvgd"), (40, 80)
 CELLS = [Cell("student_t", model, n, 0) for n in SIZES for model in MODELS]
-DIAGNOSED = ("sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed")
-
-
+SIM_MODEL_STEPS = 100
 SWEEP = ("flows.sweep", "virtual", "--name", "w")
 
 
@@ -121,7 +113,9 @@ def children(folder: Path, experiment_name: str = "model-validation") -> pd.Data
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A finished run's folder and what it printed."""
     folder = tmp_path_factory.mktemp("pipeline")
-    status, output = finish(start(folder, TINY, {**os.environ, "PREFECT_HOME": str(folder / "home")}), folder)
+    longer = {"sim_model": {"training_steps": SIM_MODEL_STEPS, "evaluate_every": SIM_MODEL_STEPS // 2}}
+    overrides = {**TINY, "train": {**TINY["train"], **longer}}
+    status, output = finish(start(folder, overrides, {**os.environ, "PREFECT_HOME": str(folder / "home")}), folder)
     assert status == 0, output
     return folder, output
 
@@ -175,7 +169,10 @@ def test_every_cell_is_a_run_with_curve_data_set_scores_and_model(finished: tupl
         assert run.data.params["sample_size"] == str(row.sample_size)
         assert run.inputs.dataset_inputs[0].dataset.digest
         assert {"fingerprint", "transitions", "source"} <= set(run.data.tags)
-        assert client.get_metric_history(run.info.run_id, "training/train_nll")
+        curve = client.get_metric_history(run.info.run_id, "training/train_nll")
+        steps = SIM_MODEL_STEPS if row.model == "sim_model" else TRAINING_SIZES["bnn"]["max_training_steps"]
+        assert curve[-1].step == steps
+        assert len(curve) == 1 + (row.model == "sim_model")
 
 
 def read_session(workspace: Workspace) -> pd.DataFrame:
@@ -232,47 +229,6 @@ def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Pat
     assert sorted(grids) == ["FINISHED", "KILLED"]
 
 
-def test_models_that_are_given_a_diagnosis(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str]
-) -> None:
-    """One diagnosis serves both; where the recordings are too few, cells fail, are named and lose no other."""
-    train = {**TINY["train"], "models": ["sim_model", *DIAGNOSED], "sample_sizes": [80, 100_000]}
-    policy = {**TINY["policy"], "models": ["residual_diagnosed"], "sample_sizes": [80, 100_000]}
-    overrides = {**TINY, "train": train, "policy": policy}
-    workspace = Workspace(tmp_path, "virtual")
-    stale = workspace.record(Cell("student_t", "sim_model", 100_000, 0))
-    write_json(stale, {"fingerprint": "of other parameters"})
-    params = load_params(ROOT / "params.yaml", overrides).model_dump(mode="json")
-    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
-    stages = ("recordings", "transitions", "train", "score", "report", "policy")
-    with (tmp_path / "output.txt").open("w") as printed, worker(prefect_server, stages, printed) as work:
-        statuses = {stage: work(tmp_path, f"{stage} virtual") for stage in stages}
-    output = (tmp_path / "output.txt").read_text()
-    assert {stage for stage, status in statuses.items() if status} == {"train", "policy"}, output
-    assert "4 of 8 cells failed" in output
-    assert "1 of 2 policies failed" in output
-    assert "N = 100000 transitions are asked for" in output
-    assert pd.read_csv(workspace.reports / "scores.csv")["sample_size"].tolist() == [80, 80, 80, 80]
-    assert not stale.exists()
-    assert {p.stem for p in workspace.models.glob("diagnosis-*")} == {"diagnosis-N80-s0"}
-    found = read_json(workspace.effects(Share(80, 0)))["effects"]
-
-    runs = children(tmp_path).set_index("name")
-    for model in DIAGNOSED:
-        run = runs.loc[Cell("student_t", model, 80, 0).name]
-        assert (run["diagnosis"], run["effects"]) == ("diagnosis-N80-s0", ", ".join(found) or "none")
-        assert np.isfinite(run["nll"])
-        assert run["prefect_flow_run"]
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path / 'mlflow.db'}")
-    run_id = runs.loc[Cell("student_t", "sim_model_diagnosed", 80, 0).name, "id"]
-    predicted = mlflow.pyfunc.load_model(f"runs:/{run_id}/model").predict(read_session(workspace))
-    assert np.isfinite(predicted[2:].to_numpy()).all()
-
-    report = (workspace.reports / "report.md").read_text()
-    assert f"N = 80: {', '.join(found) or 'none'} (seed 0)" in report
-    assert "SIM-MODEL + diagnosed: **level at 1** of 1 N against SIM-MODEL" in report
-
-
 def test_policies_are_learnt_run_on_the_robot_and_told_of(
     finished: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -297,7 +253,7 @@ def test_policies_are_learnt_run_on_the_robot_and_told_of(
     commands = mlflow.pyfunc.load_model(f"runs:/{run['id']}/model").predict(table)
     assert commands.shape == (2, 6)
     client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
-    assert len(client.get_metric_history(run["id"], "training/return")) == 2
+    assert len(client.get_metric_history(run["id"], "training/return")) == POLICY_SIZES["learning"]["evaluations"]
 
 
 @pytest.mark.parametrize(

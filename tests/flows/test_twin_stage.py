@@ -32,7 +32,7 @@ OVERRIDES: dict[str, Any] = {
     "policy": {**TINY["policy"], **CELLS},
     "score": {"horizons": [5, 10]},
     "twin": {"fit": {"horizon": 10, "training_steps": 20, "evaluate_every": 10, "batch_size": 16, "stride": 4,
-                     "hidden_layer_sizes": [4], "folds": 2, "replays": 4}},
+                     "hidden_layer_sizes": [8], "folds": 2, "replays": 4}},
 }  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def session(name: str, seed: int) -> Recording:
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Params]:
     """A folder in which every stage up to the twin was run. Its folds are of one size, so they share compiled code."""
     root = tmp_path_factory.mktemp("recorded")
-    for i, folder in enumerate(["driven"] * 2 + ["tests", "axis"]):
+    for i, folder in enumerate(["driven"] * 2 + ["tests"] * 2 + ["axis"]):
         write_recording(root / "theirs" / folder, session(f"session_{i}", i), SCHEMA)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
@@ -65,8 +65,8 @@ def test_further_sessions_are_for_the_twin_alone(done: tuple[Path, Params]) -> N
     workspace = Workspace(done[0], "mine")
     files = [path for path in workspace.recordings.rglob("*") if path.is_file()]
     kept = Counter(path.relative_to(workspace.recordings).parts[0] for path in files)
-    assert kept == {"training": 2, "test": 1, "further": 1}
-    assert read_json(workspace.twin_record)["sessions"] == 4
+    assert kept == {"training": 2, "test": 2, "further": 1}
+    assert read_json(workspace.twin_record)["sessions"] == 5
     assert set(np.load(workspace.transitions / "training.npz")["session"]) == {0, 1}
 
 
@@ -83,7 +83,7 @@ def test_a_twin_is_scored_on_sessions_it_was_not_given(done: tuple[Path, Params]
     assert f"After 10 rows the twin's hand is {mean:.2f} m from where it was measured" in text
     assert drawn(workspace.twin_report / "error_against_rows.png")
     metrics = read_json(workspace.twin_report / "metrics.json")
-    assert metrics[UNKNOWN]["rollout_ee_10"] == pytest.approx(mean)
+    assert metrics[UNKNOWN]["rollout_ee_10"] == pytest.approx(mean, rel=1e-5)  # the table has 6 digits
 
 
 def test_policies_of_a_recorded_robot_run_on_its_twin(

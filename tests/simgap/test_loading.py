@@ -237,9 +237,9 @@ def test_code_that_ends_its_process_ends_another_one(
 
 
 def test_a_step_that_never_ends_is_stopped(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "PATIENCE_S", 30)
+    monkeypatch.setattr(trial, "PATIENCE_S", 15)
     message = load_complaint(f"{module(LOOP)}:Loop", load)
-    assert "trying its members and its step must end; it was stopped after 30 s" in message
+    assert "trying its members and its step must end; it was stopped after 15 s" in message
 
 
 @pytest.mark.parametrize("member", ["schema", "parameters", "time_step", "step"])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from given import POLICY_SIZES
 
 from simgap.formats.arrays import save_arrays
 from simgap.formats.documents import read_json, write_json, write_text
@@ -23,15 +24,7 @@ from tasks.workspace import Cell, Workspace
 
 ROOT = Path(__file__).parents[2]
 PARAMS = load_params(ROOT / "params.yaml").policy
-TINY = PARAMS.model_copy(
-    update={
-        "learning": dataclasses.replace(
-            PARAMS.learning, environment_steps=400, environments=8, updates=8, steps_between_updates=4,
-            episode_length=10, min_replay=64, max_replay=500, evaluations=3, evaluation_environments=4, plateau=0,
-        ),
-        "sac": dataclasses.replace(PARAMS.sac, policy_hidden_layers=(8,), critic_hidden_layers=(8,)),
-    }
-)  # fmt: skip
+TINY = load_params(ROOT / "params.yaml", {"policy": POLICY_SIZES}).policy
 CELL = Cell("student_t", "sim_model", 40, 0)
 
 
@@ -92,8 +85,9 @@ def test_a_policy_killed_halfway_is_gone_on_with_to_the_same_result(workspace: W
 
 def test_a_checkpoint_of_other_parameters_is_not_gone_on_with(workspace: Workspace) -> None:
     with pytest.raises(Killed):
-        learn(workspace, TINY, killed_at(200))
-    other = TINY.model_copy(update={"sac": dataclasses.replace(TINY.sac, tau=0.01)})
+        learn(workspace, TINY, killed_at(400))
+    # Other ones that are no part of what is compiled.
+    other = TINY.model_copy(update={"learning": dataclasses.replace(TINY.learning, plateau_gain=0.5)})
     steps: list[int] = []
     learn(workspace, other, lambda step, _: steps.append(step))
     assert len(steps) == TINY.learning.evaluations

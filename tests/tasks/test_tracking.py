@@ -65,7 +65,7 @@ def bnn() -> models.BNN:
     keys = iter(jax.random.split(jax.random.key(0), 4))
     spread = lambda n: jnp.exp(0.3 * jax.random.normal(next(keys), (n,)))  # noqa: E731
     return models.BNN(
-        networks.init(jax.random.key(1), 5, (31, 8, 13)),
+        networks.init(jax.random.key(1), 5, (31, 16, 13)),
         scale=spread(13),
         dof=jnp.array([jnp.inf] * 5 + [1.2] * 4 + [7.0] * 4),
         normalisation=Normalisation(jnp.full(31, 0.5), spread(31), jnp.full(13, -0.2), spread(13)),
@@ -231,10 +231,11 @@ def test_stale_runs_are_closed_and_live_ones_are_not(tmp_path: Path):
     assert facts(live).info.status == "FINISHED"
 
 
-@pytest.mark.parametrize("model", [bnn(), fitted_spot()], ids=["bnn", "fitted_spot"])
+@pytest.mark.parametrize("make", [bnn, fitted_spot])
 def test_a_logged_model_loads_and_predicts(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: models.Model
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[], models.Model]
 ):
+    model = make()
     save_model(tmp_path / "model.npz", model)
     with cell_run(store, "none", "model", {}) as run:
         run.params({"seed": 1})

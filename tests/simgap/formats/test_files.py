@@ -611,12 +611,9 @@ def with_residual() -> ResidualModel:
     return ResidualModel(fitted.simulator, fitted.params, durations, one, one, particles, *of, fitted.scale, fitted.dof)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    "model",
-    [bnn(), fitted_spot(), fitted_simulator(), with_residual()],
-    ids=["BNN", "FittedSpot", "FittedSimulator", "ResidualModel"],
-)
-def test_a_model_read_back_predicts_the_same(tmp_path: Path, model: Model) -> None:
+@pytest.mark.parametrize("make", [bnn, fitted_spot, fitted_simulator, with_residual])
+def test_a_model_read_back_predicts_the_same(tmp_path: Path, make: Callable[[], Model]) -> None:
+    model = make()
     save_model(tmp_path / "model.npz", model)
     read = load_model(tmp_path / "model.npz")
     if isinstance(model, FittedSimulator | ResidualModel):
@@ -633,14 +630,10 @@ def test_a_model_of_another_simulator_is_not_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "model",
-    [bnn(), fitted_spot(), fitted_simulator(), with_residual()],
-    ids=["BNN", "FittedSpot", "FittedSimulator", "ResidualModel"],
-)
-def test_a_model_with_other_arrays_is_named(tmp_path: Path, model: Model) -> None:
+@pytest.mark.parametrize("make", [bnn, fitted_spot, fitted_simulator, with_residual])
+def test_a_model_with_other_arrays_is_named(tmp_path: Path, make: Callable[[], Model]) -> None:
     path = tmp_path / "model.npz"
-    save_model(path, model)
+    save_model(path, make())
     arrays = load_arrays(path)
     for name in arrays.keys() - {"kind"}:
         save_arrays(path, {n: a for n, a in arrays.items() if n != name})

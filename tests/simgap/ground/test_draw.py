@@ -1,15 +1,18 @@
 """Cases of the training ground: the same by the same number, and what they are said to be."""
 
+from functools import cache
+
 import jax
 import numpy as np
 import pytest
 
 from simgap.ground import draw as ground
-from simgap.ground.draw import Case, draw
+from simgap.ground.draw import draw
 from simgap.ground.families import FAMILIES, OUTSIDE, WITHIN
 from simgap.ground.machines import MACHINES, Machine
 
-CASES = [draw(number) for number in range(12)]
+NUMBERS = range(12)
+case = cache(draw)
 
 
 def still(machine: Machine) -> np.ndarray:
@@ -18,25 +21,26 @@ def still(machine: Machine) -> np.ndarray:
 
 
 def test_a_case_is_drawn_from_its_number_alone() -> None:
-    again = draw(CASES[3].number)
-    assert again.families == CASES[3].families
-    for a, b in zip(again.sessions.fitted, CASES[3].sessions.fitted, strict=True):
+    again = draw(case(3).number)
+    assert again.families == case(3).families
+    for a, b in zip(again.sessions.fitted, case(3).sessions.fitted, strict=True):
         np.testing.assert_array_equal(a.state, b.state)
 
 
 def test_all_kinds_come_and_have_what_they_are_called() -> None:
     counts = {"nothing": 0, "within": 1, "two": 2, "outside": 1}
-    assert {c.kind for c in CASES} >= {"nothing", "within", "outside"}
-    for case in CASES:
-        assert len(case.families) == counts[case.kind]
-        assert all(bool(names) == (case.kind != "outside") for names in case.causes)
-        assert (case.strength > 0) == bool(case.families)
+    cases = [case(number) for number in NUMBERS]
+    assert {c.kind for c in cases} >= {"nothing", "within", "outside"}
+    for c in cases:
+        assert len(c.families) == counts[c.kind]
+        assert all(bool(names) == (c.kind != "outside") for names in c.causes)
+        assert (c.strength > 0) == bool(c.families)
 
 
-@pytest.mark.parametrize("case", CASES[:4], ids=lambda c: str(c.number))
-def test_recordings_are_finite_and_of_the_machine(case: Case) -> None:
-    schema = case.machine.schema
-    for r in (*case.sessions.fitted, *case.sessions.heldout):
+@pytest.mark.parametrize("number", NUMBERS[:4])
+def test_recordings_are_finite_and_of_the_machine(number: int) -> None:
+    schema, sessions = case(number).machine.schema, case(number).sessions
+    for r in (*sessions.fitted, *sessions.heldout):
         assert r.state.shape == (ground.ROWS, len(schema.state))
         assert r.command.shape == (ground.ROWS, len(schema.command))
         assert np.isfinite(r.state).all()

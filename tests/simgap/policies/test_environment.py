@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from tiny_policies import BOX, ENVIRONMENT, LIMIT, kinematic, spot
+from tiny_policies import BOX, LIMIT, WHOLE, kinematic, spot
 
 from simgap.models import BNN, predict
 from simgap.networks import init
@@ -18,7 +18,7 @@ from simgap.recordings import Normalisation, encode_state
 from simgap.simulators.spot import SCHEMA, rotation, step, to_body
 from simgap.types import Prediction
 
-QUIET = dataclasses.replace(ENVIRONMENT, noise=0.0)
+QUIET = dataclasses.replace(WHOLE, noise=0.0)
 ACTION = jnp.array([0.5, -0.5, 1.0, 0.2, -1.0, 0.0])
 
 
@@ -31,7 +31,7 @@ def test_a_step_is_the_models_and_the_command_enters_the_history() -> None:
     expected = step(model.params, start.state, command, 1 / 15)
     np.testing.assert_allclose(encode_state(SCHEMA, after.state), encode_state(SCHEMA, expected), atol=1e-5)
     np.testing.assert_allclose(after.past, jnp.stack([start.past[1], command]), rtol=1e-6)
-    assert float(gained) == pytest.approx(float(reward(start.state, start.goal, command, ENVIRONMENT.reward)))
+    assert float(gained) == pytest.approx(float(reward(start.state, start.goal, command, WHOLE.reward)))
     assert not lost
 
 
@@ -64,7 +64,7 @@ def test_noise_is_drawn_from_the_predictive_distribution(dof: float) -> None:
 
 
 def test_episodes_begin_in_the_box_of_the_recordings_with_goals_about_the_hand() -> None:
-    start = jax.vmap(spot(kinematic()).reset)(jax.random.split(jax.random.key(0), 2000))
+    start = jax.vmap(spot(kinematic(), WHOLE).reset)(jax.random.split(jax.random.key(0), 2000))
     body = jax.vmap(to_body)(start.state)
     np.testing.assert_allclose(body.min(0), BOX.state_low, atol=0.02)
     np.testing.assert_allclose(body.max(0), BOX.state_high, atol=0.02)

@@ -92,10 +92,15 @@ def test_a_linear_quadratic_task_is_solved_as_riccati_does() -> None:
     np.testing.assert_allclose(gain, np.asarray(K)[0], rtol=0.25)
 
 
+def drawn(rng: np.random.Generator, *shapes: tuple[int, ...]) -> list[Array]:
+    """Standard normal numbers."""
+    return [jnp.asarray(rng.normal(size=shape), jnp.float32) for shape in shapes]
+
+
 def test_density_of_squashed_actions_is_a_change_of_variables() -> None:
     shapes = sac.networks(3, 2, CONFIG)
-    layers = sac.actor_layers(sac.init(jax.random.key(0), shapes).weights, shapes)
-    observation, normal = jax.random.normal(jax.random.key(1), (50, 3)), jax.random.normal(jax.random.key(2), (50, 2))
+    layers = sac.actor_layers(jax.jit(sac.init, static_argnums=1)(jax.random.key(0), shapes).weights, shapes)
+    observation, normal = drawn(np.random.default_rng(1), (50, 3), (50, 2))
     action, density = sac._draw(layers, observation, normal)
     location, std = map(np.asarray, sac._distribution(layers, observation))
     raw = np.arctanh(np.asarray(action, np.float64))
@@ -115,17 +120,15 @@ class Batch(NamedTuple):
 @pytest.fixture(scope="module")
 def batch() -> Batch:
     shapes = sac.networks(5, 2, CONFIG)
-    keys = jax.random.split(jax.random.key(0), 6)
-    learner = sac.init(keys[0], shapes)
-    # A target of its own, biases that are not zero.
-    learner = learner._replace(
-        target=learner.target + 0.1 * jax.random.normal(keys[1], learner.target.shape),
-        weights=learner.weights + 0.1 * jax.random.normal(keys[2], learner.weights.shape),
+    learner = jax.jit(sac.init, static_argnums=1)(jax.random.key(0), shapes)
+    target, weights, observed, acted, normal = drawn(
+        np.random.default_rng(0), learner.target.shape, learner.weights.shape, (64, 5), (64, 2), (2, 64, 2)
     )
-    rows = jax.random.normal(keys[3], (64, 5)), jnp.tanh(jax.random.normal(keys[4], (64, 2)))
+    # A target of its own, biases that are not zero.
+    learner = learner._replace(target=learner.target + 0.1 * target, weights=learner.weights + 0.1 * weights)
     ends = jnp.where(jnp.arange(64) % 4 == 0, 0.0, 1.0)
-    experience = replay.Experience(*rows, rows[0][:, 0], ends, rows[0] + 0.1)
-    return Batch(learner, experience, jax.random.normal(keys[5], (2, 64, 2)), shapes)
+    experience = replay.Experience(observed, jnp.tanh(acted), observed[:, 0], ends, observed + 0.1)
+    return Batch(learner, experience, normal, shapes)
 
 
 def plain_q(parts: list[Array], critic: int, observation: Array, action: Array) -> Array:
@@ -173,9 +176,12 @@ def test_one_gradient_is_that_of_each_loss_for_its_own_weights(batch: Batch) -> 
         return jnp.exp(log_alpha) * jnp.mean(-density + 0.5 * 2)
 
     expected = jnp.concatenate([
-        jax.grad(policy_loss)(actor), jax.grad(critic_loss)(critics), jax.grad(alpha_loss)(log_alpha)[None],
+        jax.jit(jax.grad(policy_loss))(actor), jax.jit(jax.grad(critic_loss))(critics),
+        jax.jit(jax.grad(alpha_loss))(log_alpha)[None],
     ])  # fmt: skip
-    gradient = jax.grad(sac._loss)(sac._parts(learner.weights, shapes), target_parts, seen, normal, shapes, CONFIG)
+    gradient = jax.jit(jax.grad(sac._loss), static_argnums=(4, 5))(
+        sac._parts(learner.weights, shapes), target_parts, seen, normal, shapes, CONFIG
+    )
     found = jnp.concatenate([part.reshape(-1) for part in jax.tree.leaves(gradient)])
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5)
 
@@ -183,7 +189,7 @@ def test_one_gradient_is_that_of_each_loss_for_its_own_weights(batch: Batch) -> 
 def test_an_update_is_adams_and_the_target_trails(batch: Batch) -> None:
     """Adam's first step is the sign of the gradient times the learning rate."""
     learner, seen, normal, shapes = batch
-    after = sac.update(learner, seen, normal, shapes, CONFIG)
+    after = jax.jit(sac.update, static_argnums=(3, 4))(learner, seen, normal, shapes, CONFIG)
     moved = np.abs(np.asarray(after.weights - learner.weights))
     assert np.median(moved) == pytest.approx(3e-3, rel=1e-2)
     assert moved.max() < 3.03e-3

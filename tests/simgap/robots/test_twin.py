@@ -202,15 +202,17 @@ def test_a_twins_rows_last_as_long_as_the_robots_did() -> None:
 
 
 def test_sessions_too_short_for_a_window_are_named() -> None:
+    """In pieces that have as many transitions as the twin's sessions, so that they share what is compiled."""
     recorded, _ = sessions()
-    short = [r._replace(state=r.state[:10], command=r.command[:10], time_s=r.time_s[:10]) for r in recorded]
-    with pytest.raises(RecordingError, match="0 of 6 sessions have more than 14 rows; a twin needs two"):
+    parts = [(r, slice(t, t + 14)) for r in recorded[:5] for t in range(0, ROWS - 13, 11)]
+    short = [r._replace(state=r.state[s], command=r.command[s], time_s=r.time_s[s]) for r, s in parts]
+    with pytest.raises(RecordingError, match="0 of 35 sessions have more than 14 rows; a twin needs two"):
         fit(jax.random.key(0), short, short, SPOT, (CONFIG, OF_ROWS), lambda *_: None)
 
 
 def test_a_fit_that_leaves_the_finite_numbers_says_so() -> None:
     recorded, _ = sessions()
-    wild = [r._replace(state=np.where(np.arange(12) == 4, 1e30, r.state)) for r in recorded]
+    wild = [r._replace(state=np.where(np.arange(12) == 4, 1e30, r.state)) for r in recorded[:5]]
     with pytest.raises(DivergenceError):
         fit(jax.random.key(0), wild, wild, SPOT, (CONFIG, OF_ROWS), lambda *_: None)
 
