@@ -16,8 +16,9 @@ SESSIONS, ROWS = 6, 210
 HELD_OUT = 2
 FINER = 10
 """Steps of the machine in a row, by the midpoint rule."""
-KINDS = {"nothing": 0.25, "within": 0.4, "two": 0.1, "outside": 0.25}
-"""Shares of the cases by what is left out: nothing, a law that has a name, two of them, one that has none."""
+KINDS = {"mixed": 0.1, "nothing": 0.15, "within": 0.4, "two": 0.1, "outside": 0.25}
+"""Shares of the cases by what is left out: a law that has a name and one that has none; nothing; a law that has a name,
+two of them; one that has none."""
 SIZES = 0.01, 0.5
 """Of laws, as shares of usual commands and speeds."""
 SHAKEN, CALM = (0.01, 1.0), 0.3
@@ -90,6 +91,8 @@ def _families(kind: str, rng: np.random.Generator) -> tuple[str, ...]:
         return ()
     if kind == "two":
         return tuple(map(str, rng.choice(WITHIN, 2, replace=False)))
+    if kind == "mixed":
+        return (str(rng.choice(WITHIN)), str(rng.choice(OUTSIDE)))
     return (str(rng.choice(WITHIN if kind == "within" else OUTSIDE)),)
 
 

@@ -28,12 +28,13 @@ def test_a_case_is_drawn_from_its_number_alone() -> None:
 
 
 def test_all_kinds_come_and_have_what_they_are_called() -> None:
-    counts = {"nothing": 0, "within": 1, "two": 2, "outside": 1}
+    counts = {"nothing": 0, "within": 1, "two": 2, "outside": 1, "mixed": 2}
+    named = {"nothing": 0, "within": 1, "two": 2, "outside": 0, "mixed": 1}
     cases = [case(number) for number in NUMBERS]
     assert {c.kind for c in cases} >= {"nothing", "within", "outside"}
     for c in cases:
         assert len(c.families) == counts[c.kind]
-        assert all(bool(names) == (c.kind != "outside") for names in c.causes)
+        assert sum(map(bool, c.causes)) == named[c.kind]
         assert (c.strength > 0) == bool(c.families)
 
 
