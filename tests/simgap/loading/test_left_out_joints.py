@@ -105,8 +105,8 @@ def test_the_command_says_it_of_folders(
     assert f"note: {NOTE.replace('in recordings', 'in before')}" in said
     assert said.count("elbow is left out") == 1
     ((_, _, sessions, *_),) = asked
-    assert {(r.state.shape, r.command.shape) for r in sessions.training} == {((150, 4), (150, 2))}
-    assert sessions.baseline[0].state.shape == (145, 4)
+    assert {(r.state.shape, r.command.shape) for r in sessions.training} == {((200, 4), (200, 2))}
+    assert sessions.baseline[0].state.shape == (195, 4)
     original = pd.read_parquet(logs / f"{sessions.training[0].name}.parquet")
     columns = ["pan_pos", "shoulder_pos", "pan_vel", "shoulder_vel"]
     np.testing.assert_array_equal(sessions.training[0].state, original[columns].to_numpy())
