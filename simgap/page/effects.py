@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from simgap.diagnosis.config import CREDIBLE
 from simgap.diagnosis.report import names
 from simgap.diagnosis.report.wording import acts
 from simgap.page import numbers, wording
@@ -79,7 +78,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         )
         if numbers.known(effect.get(key))
     ]
-    title, outside = names.title(effect["id"]), effect.get("outside") or 0.0
+    title = names.title(effect["id"])
     return {
         "title": title,
         "probability": _probability(effect),
@@ -91,7 +90,7 @@ def _card(effect: Values, figures: Figures) -> dict[str, Any]:
         "gains": gains,
         "acts": acts(effect.get("support")),
         "credible": [names.title(m) for m in effect.get("credible_set") or []],
-        "outside": numbers.percent(outside) if outside > 1 - CREDIBLE else "",
+        "outside": wording.elsewhere(effect),
         "laws": [
             {
                 "title": law.get("title", ""),

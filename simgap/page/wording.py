@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from simgap.diagnosis.config import LEVEL
+from simgap.diagnosis.config import CREDIBLE, LEVEL
 from simgap.diagnosis.report.names import listed, title
 from simgap.diagnosis.report.wording import NO_COMMANDS
 from simgap.page.marks import MODELS
@@ -39,6 +39,12 @@ NO_EFFECTS = {
 def either(effect: Values) -> str:
     """An effect and its alternatives: the names in its credible set."""
     return " or ".join(title(m) for m in effect.get("credible_set") or [effect["id"]])
+
+
+def elsewhere(effect: Values) -> str:
+    """Probability that the cause is outside the credible set, if that is no small one."""
+    outside = effect.get("outside") or 0.0
+    return percent(outside) if outside > 1 - CREDIBLE else ""
 
 
 def by_importance(effects: Sequence[Values]) -> list[Values]:
@@ -83,6 +89,8 @@ def certainty(statement: Values) -> list[str]:
     verdict, effects = statement["verdict"], statement.get("effects") or []
     undecided = [e for e in by_importance(effects) if len(e.get("credible_set") or []) > 1]
     lines = [f"{either(e)}: these recordings cannot decide which." for e in undecided]
+    doubtful = [e for e in by_importance(effects) if elsewhere(e)]
+    lines += [f"{either(e)}: with a probability of {elsewhere(e)} the cause is another one." for e in doubtful]
     if verdict == "inconclusive":
         lines += [f"{r['reason'][:1].upper()}{r['reason'][1:]}." for r in statement.get("insufficient") or []]
     lines += _against_chance(statement)

@@ -261,6 +261,7 @@ def test_missing_physics_is_described_from_headline_to_notes(pages: dict[str, st
     said = text(pages["missing_physics"])
     order = ["Physics is missing", "delay; reach limit or saturation", "probability 97 %", "0.134 s (0.129 to 0.139)",
              "How sure", "reach limit or saturation: these recordings cannot decide which",
+             "reach limit or saturation: with a probability of 12 % the cause is another one",
              "Noise alone would gain as much with a probability of 0.002",
              "Does it help?", "Yes: held-out error falls from 93.0 % to 29.0 % of the motion",
              "What was found removes 93 % (88 % to 97 %)", "Held-out error after 50 steps", "as is184.0 %",
