@@ -88,7 +88,7 @@ def _model(penalty: float) -> Pipeline:
 
 
 def _held_out(found: Found, penalty: float) -> Float[np.ndarray, " n"]:
-    """The probability of every effect by the others, none of which has a cause of its families; of two, the mean."""
+    """The probability of every effect, fitted to the effects of cases without its family; of two families, the mean."""
     stated, folds = np.zeros(len(found.right)), np.zeros(len(found.right))
     for name in {name for names in found.families for name in names}:
         test = found.of_family(name)

@@ -184,7 +184,7 @@ def _effect(found: Explanation, i: int, concluded: Verdict, fitted: Sequence[Rec
 
 
 def _found(found: Explanation, concluded: Verdict) -> list[dict[str, Any]]:
-    """Every effect found, named or not, and what speaks for and against it."""
+    """Every effect found, named or not, and what speaks for and against it; none if there are no scores."""
     judged = zip(found.members, concluded.named, concluded.known, concluded.indicators, strict=False)
     return [
         {"id": m.hypothesis.effect.id, "form": m.hypothesis.effect.form, "where": m.hypothesis.where, "named": named,
