@@ -67,8 +67,12 @@ def _settled(key: Key, effects: Sequence[Mapping[str, Any]], truth: Sequence[set
 
 
 def _names(effect: Mapping[str, Any]) -> set[str]:
-    """Names that a statement gives an effect: all of its credible set where it declares a tie."""
-    return {effect["id"], *(effect["credible_set"] if effect["probability"] <= TIED else ())}
+    """Names that a statement gives an effect: all of its credible set where it declares a tie.
+
+    It does if the name has at most `TIED` of the probability that the cause is among the names at all.
+    """
+    tied = effect["probability"] <= TIED * (1.0 - effect.get("outside", 0.0))
+    return {effect["id"], *(effect["credible_set"] if tied else ())}
 
 
 def set_f1(truth: Sequence[set[str]], named: Sequence[set[str]]) -> float:

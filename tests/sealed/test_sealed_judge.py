@@ -87,6 +87,9 @@ def test_a_declared_tie_is_counted_by_itself() -> None:
         said = effect(name, probability, alternatives)
         found = row(lag, stated("missing_physics", said))
         assert (found["top1"], found["tied"]) == counts
+        # That its cause may be another one makes a name no tie.
+        doubted = said | {"probability": 0.7 * probability, "outside": 0.3}
+        assert row(lag, stated("missing_physics", doubted))["tied"] == counts[1]
     two = row(key("pair", "lag", "slip"), stated("missing_physics", effect("delay", 0.5, ("lag",)), effect("slip")))
     assert (two["set_f1"], two["set_f1_tied"]) == (0.5, 1.0)
     both = row(key("pair", "lag", "slip"), stated("missing_physics", effect("delay", 0.5, ("lag", "slip"))))
