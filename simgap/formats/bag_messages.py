@@ -122,6 +122,8 @@ def _ros2(path: Path, topics: Set[str]) -> Iterator[Message]:
         _refuse_missing(path, topics, {c.topic for c in reader.connections})
         wanted = [c for c in reader.connections if c.topic in topics]
         for connection, stamp, data in reader.messages(connections=wanted):
+            if not isinstance(stamp, int):  # SQLite keeps anything in any column
+                raise TypeError(f"a message has {type(stamp).__name__} for its time")
             yield Message(connection.topic, stamp, reader.deserialize(data, connection.msgtype))
 
 
