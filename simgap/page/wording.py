@@ -4,8 +4,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from simgap.diagnosis.config import CREDIBLE, LEVEL
-from simgap.diagnosis.report.names import listed, title
+from simgap.diagnosis.config import LEVEL
+from simgap.diagnosis.report.names import listed, outside, title
 from simgap.diagnosis.report.wording import NO_COMMANDS
 from simgap.page.marks import MODELS
 from simgap.page.numbers import DASH, fixed, interval, known, number, percent
@@ -42,9 +42,8 @@ def either(effect: Values) -> str:
 
 
 def elsewhere(effect: Values) -> str:
-    """Probability that the cause is outside the credible set, if that is no small one."""
-    outside = effect.get("outside") or 0.0
-    return percent(outside) if outside > 1 - CREDIBLE else ""
+    """Probability that the cause is another one than the names, unless it is small."""
+    return percent(other) if (other := outside(effect)) else ""
 
 
 def by_importance(effects: Sequence[Values]) -> list[Values]:

@@ -80,7 +80,7 @@ def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Sp
         if value > credible or _at_end(problem, fit, group):
             return False
         differs |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
-    return differs
+    return bool(differs)
 
 
 def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:

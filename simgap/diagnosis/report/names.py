@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from simgap.diagnosis.config import CREDIBLE
 from simgap.types import Field
 
 LISTED = 6
@@ -33,6 +34,12 @@ def title(effect: str) -> str:
 def nominal(diagnosis: Mapping[str, Any]) -> str:
     """Which simulator the nominal one of a diagnosis is: not a model file itself if the search started elsewhere."""
     return "as the search began" if (diagnosis.get("model_file") or {}).get("start") else "as it is"
+
+
+def outside(effect: Mapping[str, Any]) -> float:
+    """Probability that the cause of an effect is another one than its names; 0 if it is a small one."""
+    probability = effect.get("outside") or 0.0
+    return probability if probability > 1 - CREDIBLE else 0.0
 
 
 def in_steps(outputs: Sequence[Field], steps: Iterable[float]) -> list[str]:

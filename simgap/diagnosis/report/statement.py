@@ -31,7 +31,6 @@ from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.adequacy import Verdict
 from simgap.diagnosis.validation.black_box import BlackBox
 from simgap.diagnosis.validation.forecast import Contestant
-from simgap.diagnosis.validation.indicators import heldout_gain
 from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 from simgap.effects.regime import words as rule
@@ -138,7 +137,7 @@ def _closest(found: Explanation, concluded: Verdict) -> list[int]:
     return [
         i
         for i in unnamed
-        if concluded.indicators[i].heldout > 0
+        if concluded.heldout_gains[i] > 0
         and posterior.determined(problem, fit, found.members[i].hypothesis, sd, found.members[i].gain)
     ]
 
@@ -178,7 +177,7 @@ def _effect(found: Explanation, i: int, concluded: Verdict, fitted: Sequence[Rec
         "channels": list(hypothesis.channels), "outputs": list(outputs),
         "statement": wording.effect(hypothesis, constants, support),
         "constants": constants, "credible_set": credible_set(member.odds),
-        "gain_nats": member.gain, "misfit_nats": member.misfit, "heldout_gain_nats": heldout_gain(found, member),
+        "gain_nats": member.gain, "misfit_nats": member.misfit, "heldout_gain_nats": concluded.heldout_gains[i],
         "support": support,
     }  # fmt: skip
 

@@ -4,10 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from simgap.diagnosis.config import CREDIBLE
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report.experiment import RUNS, Experiment
-from simgap.diagnosis.report.names import listed, nominal, number, quantity, title
+from simgap.diagnosis.report.names import listed, nominal, number, outside, quantity, title
 from simgap.effects import CATALOGUE
 
 
@@ -194,13 +193,12 @@ _VERDICTS = {
 def _named(effect: dict[str, Any]) -> str:
     """A named effect, what else in its credible set it may be, and how likely its cause is none of these."""
     others = [title(name) for name in effect["credible_set"] if name != effect["id"]]
-    outside = effect.get("outside", 0.0)
     lines = [effect["statement"]]
     if others:
         lines.append(f"The recordings cannot tell this from {listed(others)}: that it is {title(effect['id'])} has a "
                      f"probability of {effect['probability']:.0%}.")  # fmt: skip
-    if outside > 1 - CREDIBLE:
-        lines.append(f"With a probability of {outside:.0%} the cause is another one, which looks like it.")
+    if other := outside(effect):
+        lines.append(f"With a probability of {other:.0%} the cause is another one, which looks like it.")
     return " ".join(lines)
 
 

@@ -6,7 +6,9 @@ import numpy as np
 
 from simgap.diagnosis.config import EXPLAINED, KNOWN
 from simgap.diagnosis.inference.explanation import Explanation
+from simgap.diagnosis.inference.heldout import gain
 from simgap.diagnosis.inference.posterior import differs_from_zero
+from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.calibration import probability
 from simgap.diagnosis.validation.indicators import Indicators, indicators
@@ -21,9 +23,9 @@ class Verdict(NamedTuple):
     something_else: whether more is missing than the named effects. share: of the black box's one-step gain that the
     members reach. beaten_at: horizons [rows] at which a black box is significantly better than all other models on
     held-out sessions. worse_at: horizons at which the second model of a pair is worse than the first. parameters_moved:
-    whether refitting the parameters alone improves the held-out sessions. indicators: of each member, what speaks for
-    and against it; known: probability that the cause is among its names (see `calibration`). Both are empty if there
-    are no scores.
+    whether refitting the parameters alone improves the held-out sessions. heldout_gains: of each member [nats], with
+    all constants as fitted; indicators: what speaks for and against it; known: probability that the cause is among its
+    names (see `calibration`). These three are empty if there are no scores.
     """
 
     verdict: str
@@ -34,6 +36,7 @@ class Verdict(NamedTuple):
     beaten_at: tuple[int, ...]
     worse_at: dict[tuple[str, str], list[int]]
     parameters_moved: bool
+    heldout_gains: tuple[float, ...] = ()
     indicators: tuple[Indicators, ...] = ()
     known: tuple[float, ...] = ()
 
@@ -55,7 +58,9 @@ def conclude(
     share = None if found.baseline else scores.explained_share(refitted, augmented, box, rng)
     beaten = () if found.baseline else tuple(scores.beats(list(heldout.values()), box))
     low_share = share is not None and share["ci95"][1] < EXPLAINED
-    marks = tuple(indicators(found, judged, i) for i in range(len(found.members)))
+    without = (evaluate(found.problem, m.without.v, ()) for m in found.members)
+    gains = tuple(gain(found.problem, found.unseen, fit, found.fit) for fit in without)
+    marks = tuple(indicators(found, judged, i, nats) for i, nats in enumerate(gains))
     known = tuple(map(probability, marks))
     named = tuple(
         (beyond is None or m.hypothesis.effect.id in beyond.ids)
@@ -80,7 +85,7 @@ def conclude(
     something_else = (not hidden and (low_share or bool(beaten))) or any(
         p and not n for p, n in zip(possible, named, strict=True)
     )
-    return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved, marks, known)
+    return Verdict(verdict, named, possible, something_else, share, beaten, worse, moved, gains, marks, known)
 
 
 def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sensitivity) -> str:
@@ -108,7 +113,7 @@ def _is_named(found: Explanation, judged: Judgement, i: int, rng: np.random.Gene
     worse_on_both = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
     if any(h > 1 for h in worse_on_both) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
         return False
-    return bool(differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd))
+    return differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd)
 
 
 def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judged, Judged]]:

@@ -4,11 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.heldout import gain
 from simgap.diagnosis.inference.whiteness import touched
-from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.scores import Judged, Judgement
 
@@ -39,9 +36,10 @@ class Indicators(NamedTuple):
     rivals: float
 
 
-def indicators(found: Explanation, judged: Judgement, i: int) -> Indicators:
-    """Of the i-th effect found."""
+def indicators(found: Explanation, judged: Judgement, i: int, heldout_gain: float) -> Indicators:
+    """Of the i-th effect found, which gains `heldout_gain` nats on held-out sessions."""
     m = found.members[i]
+    held, fitted = (max(int(np.asarray(c.counts).sum()), 1) for c in (found.unseen, found.problem.chunks))
     most = max(other.gain for other in found.members)
     outputs = np.flatnonzero(touched(found.problem.augmented.layout, found.fit, m.without)).tolist()
     pair = judged.refitted_without[i][0], judged.heldout["augmented"]
@@ -50,22 +48,12 @@ def indicators(found: Explanation, judged: Judgement, i: int) -> Indicators:
         lesser=_log(most, m.gain),
         misfit=float(np.log1p(m.misfit)),
         bending=m.misfit / max(m.gain + m.misfit, TINY),
-        heldout=_heldout(found, m),
+        heldout=heldout_gain / held / (max(m.gain, TINY) / fitted),
         next_row=_error(pair, 0, outputs),
         far=_error(pair, -1, outputs),
         nameless=1.0 - found.named_share(m),
         rivals=float(np.log(len(m.odds))),
     )
-
-
-def heldout_gain(found: Explanation, member: Member) -> float:
-    """Gain of an effect on held-out sessions [nats], with all constants as fitted."""
-    return gain(found.problem, found.unseen, evaluate(found.problem, member.without.v, ()), found.fit)
-
-
-def _heldout(found: Explanation, member: Member) -> float:
-    held, fitted = (max(int(np.asarray(c.counts).sum()), 1) for c in (found.unseen, found.problem.chunks))
-    return heldout_gain(found, member) / held / (max(member.gain, TINY) / fitted)
 
 
 def _error(pair: tuple[Judged, Judged], k: int, outputs: list[int]) -> float:
