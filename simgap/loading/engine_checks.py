@@ -37,16 +37,16 @@ def _try(engine: Engine, name: str) -> None:
     state = np.vstack([np.zeros(len(engine.schema.state)), _typical(engine.schema.state)])
     command = np.repeat(np.vstack([np.zeros(len(engine.schema.command)), _typical(engine.schema.command)])[:, None],
                         engine.parts, axis=1)  # fmt: skip
-    nil = np.zeros((2, len(engine.terms))), no_effort(engine, 2)
+    terms, effort = np.zeros((2, len(engine.terms))), no_effort(engine, 2)
 
     def rows(index: list[int]) -> Float[np.ndarray, "n s"]:
-        return np.asarray(engine.rows(phi, nil[0][index], state[index], command[index], nil[1][index]))
+        return np.asarray(engine.rows(phi, terms[index], state[index], command[index], effort[index]))
 
     try:
         both, turned, alone = rows([0, 1]), rows([1, 0]), rows([1])
     except RAISED as error:
         raise ConfigError(f"{name}: rows must run on states {state.shape}, commands {command.shape}, terms "
-                          f"{nil[0].shape} and efforts {nil[1].shape}; it gave {reason(error)}. Mend "
+                          f"{terms.shape} and efforts {effort.shape}; it gave {reason(error)}. Mend "
                           "rows.") from None  # fmt: skip
     if both.shape != state.shape or both.dtype != np.float64:
         raise ConfigError(f"{name}: rows must return the next states, shape {state.shape} in double precision; it "

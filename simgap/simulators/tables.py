@@ -48,17 +48,17 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
     """
     points = Points(*(np.asarray(a, np.float64) for a in points))
     phi, terms, state, command = points
-    nil = no_effort(engine, len(state))
-    then = engine.rows(phi, terms, state, command, nil)
+    none = no_effort(engine, len(state))
+    then = engine.rows(phi, terms, state, command, none)
     rough = rough_of(engine)
-    rough_then = then if rough is engine else rough.rows(phi, terms, state, command, nil)
+    rough_then = then if rough is engine else rough.rows(phi, terms, state, command, none)
     varied = varied or Inputs(True, True, np.ones(terms.shape[1], bool))
     spread = np.maximum(STEP * state.std(0), LEAST), np.maximum(STEP * command.std((0, 1)), LEAST)
     zero = np.zeros_like(state)
 
     def difference(moved: tuple[Points, float]) -> Float[np.ndarray, "n s"]:
         at, step = moved
-        return (rough.rows(*at, nil) - rough_then) / step
+        return (rough.rows(*at, none) - rough_then) / step
 
     def effort_column(i: int) -> Float[np.ndarray, "n s"]:
         return by_effort(rough, points, rough_then, i)

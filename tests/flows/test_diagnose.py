@@ -1,4 +1,4 @@
-"""Diagnoses in flows that Prefect is told of: a folder's as a run in MLflow, and those that cells are given."""
+"""Diagnoses in flows, with a Prefect server: a folder's, as a run in MLflow, and those that cells are trained with."""
 
 import sys
 from collections.abc import Iterator

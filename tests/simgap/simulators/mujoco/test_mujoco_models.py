@@ -24,8 +24,8 @@ def loaded(folder: Path, text: str, columns: set[str] | None = None) -> MujocoEn
 def after(engine: MujocoEngine, state: list[float], command: list[float]) -> np.ndarray:
     """One row, without terms."""
     u = np.tile(command, (1, engine.parts, 1))
-    nil = np.zeros((1, len(engine.terms))), no_effort(engine, 1)
-    return engine.rows(engine.nominal, nil[0], np.array([state]), u, nil[1])[0]
+    no_terms = np.zeros((1, len(engine.terms)))
+    return engine.rows(engine.nominal, no_terms, np.array([state]), u, no_effort(engine, 1))[0]
 
 
 def stepped_like(engine: MujocoEngine, other: MujocoEngine) -> MujocoEngine:
