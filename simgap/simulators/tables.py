@@ -64,7 +64,7 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
         return by_effort(rough, points, rough_then, i)
 
     def term_columns(i: int) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
-        return _by_term(rough, points, i, rough_then, nil) if varied.terms[i] else (zero, zero)
+        return _by_term(rough, points, i, rough_then, none) if varied.terms[i] else (zero, zero)
 
     parts = [(j, i) for j in range(engine.parts) for i in range(command.shape[2])]
     states = [(points._replace(state=_moved(state, i, h)), h) for i, h in enumerate(spread[0])]
@@ -74,7 +74,7 @@ def tabulate(engine: Engine, points: Points, varied: Inputs | None = None) -> Ta
         if varied.commands
     ]
     phis = [(points._replace(phi=_moved(phi, i, LOG_STEP)), LOG_STEP) for i in range(len(phi))]
-    efforts = range(nil.shape[1])
+    efforts = range(none.shape[1])
     parabolas = side_by_side(term_columns, range(terms.shape[1]))
     columns = [
         side_by_side(difference, states),
@@ -111,7 +111,7 @@ def by_effort(engine: Engine, points: Points, then: Float[np.ndarray, "n s"], i:
 
 
 def _by_term(
-    engine: Engine, points: Points, i: int, then: Float[np.ndarray, "n s"], nil: Float[np.ndarray, "n a"]
+    engine: Engine, points: Points, i: int, then: Float[np.ndarray, "n s"], none: Float[np.ndarray, "n a"]
 ) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, "n s"]]:
     """The two coefficients of a parabola in a term: through zero and the term's value, with the slope at that value.
 
@@ -125,7 +125,7 @@ def _by_term(
         """`then` minus the next states where the term has these values."""
         terms = np.array(points.terms)
         terms[:, i] = values
-        return then - engine.rows(points.phi, terms, points.state, points.command, nil)
+        return then - engine.rows(points.phi, terms, points.state, points.command, none)
 
     chord = missed(np.where(acts, 0.0, size)) / np.where(acts, size, -size)[:, None]
     if not acts.any():
