@@ -1,5 +1,7 @@
 """mu, the distribution that measurement points are drawn from [Hoffman et al. 2025, Function Space Inference]."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -8,6 +10,7 @@ from simgap.recordings import decode_state, encode_state
 from simgap.types import Simulator
 
 
+@partial(jax.jit, static_argnames=("count", "simulator"))
 def uniform_inputs(
     key: PRNGKeyArray, count: int, x_train: Float[Array, "n x"], simulator: Simulator
 ) -> Float[Array, "count x"]:

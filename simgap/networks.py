@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from simgap import draws
+
 Particles = list[tuple[Float[Array, "L i o"], Float[Array, "L 1 o"]]]
 
 
@@ -13,7 +15,7 @@ def init(key: PRNGKeyArray, particles: int, sizes: Sequence[int]) -> Particles:
     """LeCun-normal weights, zero biases; `sizes` from input to output."""
     keys = jax.random.split(key, len(sizes) - 1)
     return [
-        (jax.random.normal(k, (particles, i, o)) / jnp.sqrt(i), jnp.zeros((particles, 1, o)))
+        (draws.normal(k, (particles, i, o)) / jnp.sqrt(i), jnp.zeros((particles, 1, o)))
         for k, i, o in zip(keys, sizes[:-1], sizes[1:], strict=True)
     ]
 

@@ -1,5 +1,6 @@
 """Likelihood noise with learned parameters: independent per output, Gaussian or heavy-tailed."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -23,6 +24,8 @@ class NoiseFamily(NamedTuple):
 
 INITIAL_SCALE = 0.2
 """Starting noise scale, in units of the outputs' standard deviation (the published implementation's)."""
+INITIAL_RAW_DOF = 2.0
+"""3.1 degrees of freedom."""
 
 
 def gaussian_log_density(residual: Float[Array, "... y"], scale: Float[Array, " y"]) -> Float[Array, "... y"]:
@@ -47,8 +50,13 @@ def _dof(noise: dict[str, Array]) -> Float[Array, " y"]:
     return 1 + jax.nn.softplus(noise["raw_dof"])
 
 
+def _constant(outputs: int, value: float) -> Float[Array, " y"]:
+    # With a type of its own: one that follows from its first use would have training compiled twice.
+    return jnp.full(outputs, value, jnp.float32)
+
+
 gaussian = NoiseFamily(
-    init=lambda y: {"log_scale": jnp.full(y, jnp.log(INITIAL_SCALE))},
+    init=lambda y: {"log_scale": _constant(y, math.log(INITIAL_SCALE))},
     scale=_scale,
     dof=lambda noise: jnp.full_like(noise["log_scale"], jnp.inf),
     log_density=lambda noise, r: gaussian_log_density(r, _scale(noise)),
@@ -56,7 +64,10 @@ gaussian = NoiseFamily(
 """The paper's noise: i.i.d. Gaussian, learned standard deviation per output."""
 
 student_t = NoiseFamily(
-    init=lambda y: {"log_scale": jnp.full(y, jnp.log(INITIAL_SCALE)), "raw_dof": jnp.full(y, 2.0)},
+    init=lambda y: {
+        "log_scale": _constant(y, math.log(INITIAL_SCALE)),
+        "raw_dof": _constant(y, INITIAL_RAW_DOF),
+    },
     scale=_scale,
     dof=_dof,
     log_density=lambda noise, r: student_t_log_density(r, _scale(noise), _dof(noise)),

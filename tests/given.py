@@ -1,16 +1,14 @@
 """What several files of tests are given."""
 
-import math
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from jaxtyping import Array
 
 from simgap.models import FittedSpot
 from simgap.simulators import parameter_ranges
@@ -41,14 +39,6 @@ def spot_recordings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recordings of a real Spot in {folder}; name their folder in SIMGAP_SPOT_RECORDINGS")
     return folder
-
-
-def drawn(draw: Callable[..., Array], key: Array, shape: tuple[int, ...], **bounds: float) -> Array:
-    """`draw(key, shape)` of `jax.random`, the same numbers drawn in a row.
-
-    In rows and columns, drawing takes seconds to compile, anew for every shape.
-    """
-    return draw(key, (math.prod(shape),), **bounds).reshape(shape)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from simgap import draws
 from simgap.policies import replay, sac
 from simgap.policies.actor import Layers
 from simgap.policies.environment import Environment
@@ -202,7 +203,7 @@ def init(key: PRNGKeyArray, environment: Environment, config: Config, sac_config
     learner = sac.init(key_learner, shapes)
     memory = replay.init(config.max_replay, len(mean), environment.action_size)
     memory = replay.add(memory, _normalised(seen, mean, std))
-    best, returns = sac.actor_layers(learner.weights, shapes), jnp.full(config.evaluations, jnp.nan)
+    best, returns = sac.actor_layers(learner.weights, shapes), jnp.full(config.evaluations, jnp.nan, jnp.float32)
     return Training(key, key_evaluation, learner, memory, places, mean, std, returns, best)
 
 
@@ -238,7 +239,7 @@ def advance(
         key_rows, key_actions = jax.random.split(key_updates)
         each = (config.updates, sac_config.batch_size)
         actions = (config.updates, 2, sac_config.batch_size, shapes.action_size)
-        drawn = jax.random.uniform(key_rows, each), jax.random.normal(key_actions, actions)
+        drawn = jax.random.uniform(key_rows, each), draws.normal(key_actions, actions)
         learner, _ = jax.lax.scan(update, learner, drawn)
         return (learner, memory, places), None
 

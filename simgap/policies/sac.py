@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from simgap import draws
 from simgap.policies.actor import Layers, perceptron
 from simgap.policies.replay import Experience
 from simgap.types import ConfigError
@@ -105,7 +106,7 @@ def init(key: PRNGKeyArray, shapes: Networks) -> Learner:
     parts = []
     for network in shapes:
         for weight, bias in zip(network[::2], network[1::2], strict=True):
-            parts += [jax.random.normal(next(keys), weight) / math.sqrt(weight[-2]), jnp.zeros(bias)]
+            parts += [draws.normal(next(keys), weight) / math.sqrt(weight[-2]), jnp.zeros(bias)]
     weights = jnp.concatenate([part.reshape(-1) for part in parts] + [jnp.zeros(1)])
     zeros = jnp.zeros_like(weights)
     return Learner(weights, weights[shapes.actor_size : -1], zeros, zeros, jnp.zeros((), jnp.int32))
@@ -119,7 +120,7 @@ def actor_layers(weights: Float[Array, " w"], shapes: Networks) -> Layers:
 def explore(layers: Layers, observation: Float[Array, "... o"], key: PRNGKeyArray) -> Float[Array, "... a"]:
     """An action drawn from the policy."""
     location, std = _distribution(layers, observation)
-    return jnp.tanh(location + std * jax.random.normal(key, std.shape))
+    return jnp.tanh(location + std * draws.normal(key, std.shape))
 
 
 def exploit(layers: Layers, observation: Float[Array, "... o"]) -> Float[Array, "... a"]:

@@ -4,10 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from given import drawn
 from jaxtyping import Array, Float
 
-from simgap import fsvgd, models, priors
+from simgap import draws, fsvgd, models, priors
 from simgap.noise import NoiseFamily, gaussian_log_density
 from simgap.recordings import Normalisation
 from simgap.types import ConfigError, DivergenceError
@@ -37,13 +36,13 @@ def predictions(model: models.BNN, x: Float[Array, " n"]) -> Float[np.ndarray, "
 
 
 def fit(x: Array, y: Array, marginals: priors.Marginals, low: float, high: float) -> models.BNN:
-    points = drawn(jax.random.uniform, jax.random.key(2), (CONFIG.measurement_sets, 16, 1), minval=low, maxval=high)
+    points = jax.random.uniform(jax.random.key(2), (CONFIG.measurement_sets, 16, 1), minval=low, maxval=high)
     data = (x[:, None], y[:, None])
     return fsvgd.train(jax.random.key(0), (data, data), NEUTRAL, points, marginals, CONFIG, KNOWN, silent)
 
 
 def test_direction_is_the_papers_sum() -> None:
-    h, score = drawn(jax.random.normal, jax.random.key(0), (2, 4, 6))
+    h, score = draws.normal(jax.random.key(0), (2, 4, 6))
     k = lambda a, b: jnp.exp(-jnp.sum((a - b) ** 2) / (2 * 1.5**2))  # noqa: E731
     brute = [sum(k(h[i], h[j]) * score[j] + jax.grad(k)(h[j], h[i]) for j in range(4)) / 4 for i in range(4)]
     np.testing.assert_allclose(fsvgd.svgd_direction(h, score, 1.5), jnp.stack(brute), rtol=1e-4, atol=1e-6)
@@ -76,7 +75,7 @@ def test_particles_follow_the_gaussian_process_posterior() -> None:
 def test_sim_fsvgd_follows_prior_far_from_data_and_data_near_them() -> None:
     """Simulators y = phi x, phi in [0.8, 1.2]; the robot is y = x + 0.5 where it was seen."""
     x = jnp.linspace(-1.0, 0.0, 8)
-    phi = drawn(jax.random.uniform, jax.random.key(5), (256, 1, 1), minval=0.8, maxval=1.2)
+    phi = jax.random.uniform(jax.random.key(5), (256, 1, 1), minval=0.8, maxval=1.2)
     marginals = priors.simulator_marginals(lambda x: phi * x[None], priors.Config(0.4, 0.2, 16))
     model = fit(x, x + 0.5, marginals, -1.0, 3.0)
     np.testing.assert_allclose(predictions(model, x).mean(0), x + 0.5, atol=0.15)

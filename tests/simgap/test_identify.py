@@ -4,9 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from given import drawn
 
-from simgap import identify
+from simgap import draws, identify
 from simgap.domain import uniform_inputs
 from simgap.noise import FAMILIES
 from simgap.simulators import parameter_ranges, state_difference
@@ -20,11 +19,11 @@ CONFIG = identify.Config(training_steps=4000, learning_rate=3e-3, weight_decay=0
 def test_planted_parameters_are_recovered(noise: str) -> None:
     low, high = parameter_ranges(SPOT)
     planted = low + (high - low) * jax.random.uniform(jax.random.key(1), (24,))
-    recorded = drawn(jax.random.normal, jax.random.key(2), (400, 31)).at[:, 2:4].set(0.5)
+    recorded = draws.normal(jax.random.key(2), (400, 31)).at[:, 2:4].set(0.5)
     x = uniform_inputs(jax.random.key(3), 400, recorded, SPOT)
     y = jax.vmap(lambda x: state_difference(SPOT, planted, x))(x)
     sigma = 0.02
-    y = y + sigma * drawn(jax.random.normal, jax.random.key(4), y.shape)
+    y = y + sigma * draws.normal(jax.random.key(4), y.shape)
     nll: list[float] = []
     params, scale, dof = identify.identify(
         SPOT, (x, y), CONFIG, FAMILIES[noise], lambda _, m: nll.append(m["train_nll"])
@@ -41,9 +40,9 @@ def test_planted_parameters_are_recovered(noise: str) -> None:
 def test_parameters_may_leave_their_ranges_when_data_say_so() -> None:
     low, high = parameter_ranges(SPOT)
     planted = jnp.asarray((low + high) / 2).at[18].set(3.0)  # gamma_1 of a recording at 5 Hz
-    recorded = drawn(jax.random.normal, jax.random.key(2), (400, 31))
+    recorded = draws.normal(jax.random.key(2), (400, 31))
     x = uniform_inputs(jax.random.key(3), 400, recorded, SPOT)
     y = jax.vmap(lambda x: state_difference(SPOT, planted, x))(x)
-    y = y + 0.01 * drawn(jax.random.normal, jax.random.key(4), y.shape)
+    y = y + 0.01 * draws.normal(jax.random.key(4), y.shape)
     params, _, _ = identify.identify(SPOT, (x, y), CONFIG, FAMILIES["gaussian"], lambda *_: None)
     assert params[18] == pytest.approx(3.0, abs=0.1)

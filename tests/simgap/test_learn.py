@@ -4,9 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from given import drawn
 
-from simgap import fsvgd, identify, learn, priors, scores
+from simgap import draws, fsvgd, identify, learn, priors, scores
 from simgap.domain import uniform_inputs
 from simgap.noise import FAMILIES
 from simgap.recordings import decode_state
@@ -30,11 +29,11 @@ def silent(_step: int, _metrics: dict[str, float]) -> None:
 
 def rows(count: int, seed: int) -> fsvgd.Data:
     """A robot that follows the kinematic model, its parameters inside the plausible ranges, but for a curved gain."""
-    recorded = 0.5 * drawn(jax.random.normal, jax.random.key(0), (200, 31))
+    recorded = 0.5 * draws.normal(jax.random.key(0), (200, 31))
     x = uniform_inputs(jax.random.key(seed), count, recorded, SPOT)
     (phi,) = sample_parameters(SPOT, jax.random.key(7), 1)
     y = jax.vmap(lambda x: state_difference(SPOT, phi, x.at[-6:].set(jnp.tanh(x[-6:]))))(x)
-    return x, y + 0.01 * drawn(jax.random.normal, jax.random.key(seed + 1), y.shape)
+    return x, y + 0.01 * draws.normal(jax.random.key(seed + 1), y.shape)
 
 
 def test_the_simulators_knowledge_helps_where_data_are_few() -> None:

@@ -29,3 +29,9 @@ def test_families_read_back_what_they_start_with(name: str) -> None:
     np.testing.assert_allclose(family.scale(noise), 0.2, rtol=1e-6)
     assert (family.dof(noise) > 1).all()
     assert family.log_density(noise, jnp.zeros((5, 3))).shape == (5, 3)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_training_begins_with_numbers_of_the_type_that_it_ends_with(name: str) -> None:
+    """Otherwise it is compiled anew after its first steps."""
+    assert not any(value.weak_type for value in FAMILIES[name].init(3).values())

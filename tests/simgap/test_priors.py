@@ -1,20 +1,17 @@
 """Prior scores against gradients of the densities they belong to."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from given import drawn
 from jax.scipy.stats import multivariate_normal
 from jaxtyping import Array
 
 from simgap import priors
+from simgap.draws import normal
 from simgap.types import DivergenceError, Prior
 
 KEY = jax.random.key(0)
-normal = partial(drawn, jax.random.normal)
 
 
 def test_gram_is_a_covariance() -> None:

@@ -43,6 +43,12 @@ def test_a_policy_learnt_in_the_kinematic_model_reaches_its_goal_there() -> None
     assert np.mean(distance[:, -1] < 0.3) > 0.9
 
 
+def test_learning_begins_with_numbers_of_the_type_that_it_ends_with() -> None:
+    """Otherwise it is compiled anew after its first evaluation."""
+    begun = jax.eval_shape(lambda key: learn.init(key, spot(kinematic()), LEARN, SAC), jax.random.key(0))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(begun))
+
+
 def test_interrupted_learning_goes_on_to_the_same_result() -> None:
     env = spot(kinematic())
     kept: list[dict[str, np.ndarray]] = []

@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from given import drawn
 from jaxtyping import Array
 
-from simgap import fsvgd, models, prediction, scores
+from simgap import draws, fsvgd, models, prediction, scores
 from simgap.domain import uniform_inputs
 from simgap.noise import FAMILIES
 from simgap.recordings import encode_state
@@ -56,13 +55,11 @@ _steady = jax.jit(jax.vmap(steady, (None, 0)))
 
 def rows(count: int, seed: int, bent: float = 0.0, stalls: bool = False) -> Transitions:
     """Of such a robot in six sessions; one row in four lasts three steps where it stalls."""
-    recorded = 0.5 * drawn(jax.random.normal, jax.random.key(0), (200, 31))
+    recorded = 0.5 * draws.normal(jax.random.key(0), (200, 31))
     x = uniform_inputs(jax.random.key(seed), count, recorded, SPOT)
     steps = jnp.where(stalls & (jnp.arange(count) % 4 == 0), 3.0, 1.0)
     y = _outputs(x, steps, bent)
-    return Transitions(
-        x, y + 0.01 * drawn(jax.random.normal, jax.random.key(seed + 1), y.shape), jnp.arange(count) // 50 % 6
-    )
+    return Transitions(x, y + 0.01 * draws.normal(jax.random.key(seed + 1), y.shape), jnp.arange(count) // 50 % 6)
 
 
 def session(steps: float = 1.0, count: int = 40) -> Recording:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from given import drawn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Array, Float
@@ -55,7 +54,7 @@ def drive(state: VirtualSpotState, commands: Float[Array, "T 6"], config: Virtua
 
 def held_commands(seed: int) -> Float[Array, "T 6"]:
     """Commands up to 1, each held for ten rows."""
-    return jnp.repeat(drawn(jax.random.uniform, jax.random.key(seed), (ROWS // 10, 6), minval=-1.0), 10, axis=0)
+    return jnp.repeat(jax.random.uniform(jax.random.key(seed), (ROWS // 10, 6), minval=-1.0), 10, axis=0)
 
 
 def hand_in_base_frame(measured: Float[Array, "T 12"]) -> Float[Array, "T 3"]:

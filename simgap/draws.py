@@ -1,0 +1,14 @@
+"""Normal numbers drawn in a row: those of `jax.random`, in a tenth of the time that its programs take to compile.
+
+XLA takes seconds to compile a draw of several dimensions for a CPU, anew for every shape.
+"""
+
+import math
+
+import jax
+from jaxtyping import Array, PRNGKeyArray
+
+
+def normal(key: PRNGKeyArray, shape: tuple[int, ...]) -> Array:
+    """`jax.random.normal(key, shape)`."""
+    return jax.random.normal(key, (math.prod(shape),)).reshape(shape)
