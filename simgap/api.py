@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simgap.diagnosis.diagnose import diagnose as find
 from simgap.engines import Engine
@@ -62,7 +63,9 @@ def diagnose(
     report = progress or (lambda _: None)
     used, sessions = arranged(used, Purposes(**given), report)
     used = started(used, sessions, report)
-    diagnosis = find(used.simulator, used.name, sessions, seed, report)
+    # The search has threads of its own. Those of numpy would wait for them in every matrix product.
+    with threadpool_limits(limits=1, user_api="blas"):
+        diagnosis = find(used.simulator, used.name, sessions, seed, report)
     return Result.of(used, sessions, diagnosis, errors)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import simgap
 from examples.drive import DRIVE, Drive
@@ -33,16 +34,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def heard() -> list[str]:
+def heard() -> list[tuple[str, set[int]]]:
+    """Lines of progress, and how many threads a matrix product had then."""
     return []
 
 
+def threads() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
 @pytest.fixture(scope="module")
-def result(folder: Path, heard: list[str]) -> simgap.Result:
-    return simgap.diagnose(DRIVE, folder, progress=heard.append)
+def result(folder: Path, heard: list[tuple[str, set[int]]]) -> simgap.Result:
+    with threadpool_limits(limits=2, user_api="blas"):  # as where numpy was imported first
+        diagnosed = simgap.diagnose(DRIVE, folder, progress=lambda line: heard.append((line, threads())))
+        assert threads() == {2}
+    return diagnosed
 
 
-def test_the_missing_friction_is_named_with_its_constant(result: simgap.Result, heard: list[str]) -> None:
+def test_the_missing_friction_is_named_with_its_constant(
+    result: simgap.Result, heard: list[tuple[str, set[int]]]
+) -> None:
     assert result.verdict == "missing_physics"
     (effect,) = result.effects
     assert effect.id == "coulomb_friction"
@@ -52,7 +63,14 @@ def test_the_missing_friction_is_named_with_its_constant(result: simgap.Result, 
     assert low < 2.5 < high  # N, examples/record.py
     assert constant["unit"] == "N"
     assert str(result) == result.statement["statement"]
-    assert any("hypotheses tested" in line for line in heard)
+    assert any("hypotheses tested" in line for line, _ in heard)
+
+
+@pytest.mark.usefixtures("result")
+def test_the_search_alone_computes_on_several_threads(heard: list[tuple[str, set[int]]]) -> None:
+    during = [threads for line, threads in heard if "hypotheses tested" in line]
+    assert during
+    assert all(threads == {1} for threads in during)
 
 
 def test_a_notebook_shows_page_and_pictures(result: simgap.Result, tmp_path: Path) -> None:
