@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.ground.families import EQUIVALENT, FAMILIES, OUTSIDE, WITHIN
-from simgap.ground.laws import Law
+from simgap.ground.laws import Law, Uneven
 from simgap.ground.machines import MACHINES, Machine
 from simgap.types import Recording, Sessions
 
@@ -16,9 +16,14 @@ SESSIONS, ROWS = 6, 210
 HELD_OUT = 2
 FINER = 10
 """Steps of the machine in a row, by the midpoint rule."""
-KINDS = {"mixed": 0.1, "nothing": 0.15, "within": 0.4, "two": 0.1, "outside": 0.25}
-"""Shares of the cases by what is left out: a law that has a name and one that has none; nothing; a law that has a name,
-two of them; one that has none."""
+KINDS = {"nothing": 0.12, "within": 0.25, "two": 0.08, "outside": 0.15, "mixed": 0.1, "many": 0.3}
+"""Shares of the cases by what is left out: nothing; a law that has a name, two of them; one that has none; one of
+either; and `MANY` of any families, as in real machines."""
+MANY = 3, 5
+STRAIGHT, BENDS = 0.4, (0.9, 4.0)
+"""Share of the laws whose strength is even; of the others, how much it varies at most and in how many waves per unit."""
+EVERYWHERE = 0.5
+"""Share of the laws that act along all axes; the others act along one."""
 SIZES = 0.01, 0.5
 """Of laws, as shares of usual commands and speeds."""
 SHAKEN, CALM = (0.01, 1.0), 0.3
@@ -54,19 +59,19 @@ class Case(NamedTuple):
 
 def draw(number: int) -> Case:
     """The case of that number."""
-    rng = np.random.default_rng([20261125, number])
+    rng = np.random.default_rng([20261128, number])
     machine = MACHINES[rng.integers(len(MACHINES))]
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     families = _families(kind, rng)
     sizes = np.exp(rng.uniform(np.log(SIZES[0]), np.log(SIZES[1]), len(families)))
     params = _parameters(machine, rng)
-    rate, row = _rate(machine, params), machine.time_step
+    rate = _rate(machine, params)
     drawn = int(rng.integers(2**32))
     share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
     clean, shaken = [], np.zeros(machine.velocities)
     for session in range(SESSIONS):
         # The same laws in all sessions, but for what is random in time.
-        laws = [FAMILIES[f].draw(np.random.default_rng([drawn, i]), s, row, rate)
+        laws = [_law(machine, f, s, rate, np.random.default_rng([drawn, i]))
                 for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
         for law in laws:
             law.begin(np.random.default_rng([drawn, len(laws), session]))
@@ -81,7 +86,8 @@ def draw(number: int) -> Case:
     fitted = SESSIONS - HELD_OUT
     changed = np.concatenate([c.changed for c in clean[:fitted]])
     random = np.hypot(scale, np.concatenate([np.zeros(machine.positions), shaken]))
-    strength = float(0.5 * ((changed / random) ** 2).sum())
+    observed = np.array([f.observed for f in machine.schema.state])
+    strength = float(0.5 * ((changed / random)[:, observed] ** 2).sum())
     sessions = Sessions(recordings[:fitted], recordings[fitted:])
     return Case(number, machine, kind, families, tails, sessions, strength)
 
@@ -93,7 +99,19 @@ def _families(kind: str, rng: np.random.Generator) -> tuple[str, ...]:
         return tuple(map(str, rng.choice(WITHIN, 2, replace=False)))
     if kind == "mixed":
         return (str(rng.choice(WITHIN)), str(rng.choice(OUTSIDE)))
+    if kind == "many":
+        return tuple(map(str, rng.choice(list(FAMILIES), rng.integers(MANY[0], MANY[1] + 1), replace=False)))
     return (str(rng.choice(WITHIN if kind == "within" else OUTSIDE)),)
+
+
+def _law(machine: Machine, family: str, size: float, rate: float, rng: np.random.Generator) -> Law:
+    """A law of the family, as even as this machine has it."""
+    law = FAMILIES[family].draw(rng, size, machine.time_step, rate)
+    axes = np.ones(machine.velocities)
+    if rng.random() > EVERYWHERE:
+        axes = np.eye(machine.velocities)[rng.integers(machine.velocities)]
+    depth = 0.0 if rng.random() < STRAIGHT else rng.uniform(0, BENDS[0])
+    return Uneven(law, axes, depth, rng.uniform(0.5, BENDS[1]), rng.uniform(0, 2 * np.pi))
 
 
 def _parameters(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray, " p"]:
@@ -197,4 +215,5 @@ def _measured(
         drawn = {"gaussian": rng.standard_normal, "student_t": lambda s: rng.standard_t(4, s) / np.sqrt(2),
                  "laplace": lambda s: rng.laplace(0, np.sqrt(0.5), s)}[tails](shape)  # fmt: skip
         state = clean.state + scale * drawn
-    return Recording(name, machine.time_step * np.arange(shape[0]), state, clean.command)
+    observed = [f.observed for f in machine.schema.state]
+    return Recording(name, machine.time_step * np.arange(shape[0]), state[:, observed], clean.command)

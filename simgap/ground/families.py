@@ -33,8 +33,8 @@ def _drag(rng: np.random.Generator, size: float, row: float, rate: float) -> Law
 
 def _bias(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     force, wave = rng.choice([-1, 1]) * size * rate, rng.uniform(0, 0.3)
-    # Along the first axis; a little of it varies with the speed.
-    return Push(lambda q, v, u: np.eye(len(v))[0] * force * (1 + wave * np.sin(2 * v[0])))  # noqa: ARG005
+    # A little of it varies with the speed.
+    return Push(lambda q, v, u: force * (1 + wave * np.sin(2 * v)))  # noqa: ARG005
 
 
 def _delay(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
@@ -145,7 +145,8 @@ FAMILIES: dict[str, Family] = {
     "gusts": Family(_named(), _gusts),
     "bristles": Family(_named(), _bristles),
 }
-EQUIVALENT = {("servo", "bias"): _named("sensor_bias")}
+HELD = ("servo", "servo_positions", "arm", "arm_positions")
+EQUIVALENT = {(machine, "bias"): _named("sensor_bias") for machine in HELD}
 """On a machine, other names for a family: a steady push on a servo is an offset of the position that it is held to."""
 WITHIN = tuple(name for name, family in FAMILIES.items() if family.names)
 OUTSIDE = tuple(name for name, family in FAMILIES.items() if not family.names)

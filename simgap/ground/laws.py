@@ -165,3 +165,27 @@ class Bristles(_Plain):
         ease = np.clip(1 - self.bent * np.sign(v), 0.0, 2.0) ** self.exponent
         self.bent = np.clip(self.bent + h * v / self.length * ease, -1.0, 1.0)
         return -self.force * self.bent
+
+
+class Uneven(_Plain):
+    """A law whose strength varies with place or command, and that acts along some axes only.
+
+    axes: one along which it acts, else zero. depth: share by which its strength varies; waves: per unit of place or
+    command.
+    """
+
+    def __init__(self, law: Law, axes: Float[np.ndarray, " v"], depth: float, waves: float, phase: float) -> None:
+        self.law, self.axes = law, axes
+        self.depth, self.waves, self.phase = depth, waves, phase
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self.law.begin(rng)
+
+    def command(self, sent: Command, h: float) -> Command:
+        return sent + self._strength(sent) * (self.law.command(sent, h) - sent)
+
+    def push(self, q: Any, v: Velocity, u: Command, h: float) -> Velocity:
+        return self._strength(q[: len(v)]) * self.law.push(q, v, u, h)
+
+    def _strength(self, at: Any) -> Any:
+        return self.axes * (1 + self.depth * np.sin(self.waves * at + self.phase))

@@ -5,7 +5,7 @@ steps a row: the machine, which takes more, does not differ by its integrator.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -107,6 +107,14 @@ def _pair(_: Any, p: Any, q: Any, v: Any, u: Any) -> list[Any]:
     return [drive * u[0] - damping * v[0] + pull, drive * u[1] - damping * v[1] - pull]
 
 
+def _arm(xp: Any, p: Any, q: Any, v: Any, u: Any) -> list[Any]:
+    """Three geared joints in a vertical plane: gravity turns each by what hangs on it."""
+    stiffness, damping, weight = p
+    lever = [xp.sin(q[0]), xp.sin(q[0] + q[1]), xp.sin(q[0] + q[1] + q[2])]
+    hangs = [3 * lever[0] + 2 * lever[1] + lever[2], 2 * lever[1] + lever[2], lever[2]]
+    return [stiffness * (u[i] - q[i]) - damping * v[i] - weight * hangs[i] for i in range(3)]
+
+
 def _base(_: Any, p: Any, q: Any, v: Any, u: Any) -> list[Any]:  # noqa: ARG001
     response, turning = p
     return [response * (u[0] - v[0]), response * (u[1] - v[1]), turning * (u[2] - v[2])]
@@ -118,6 +126,16 @@ def _turned(xp: Any, q: Any, v: Any) -> list[Any]:
     return [cosine * v[0] - sine * v[1], sine * v[0] + cosine * v[1], v[2]]
 
 
+def _joint(name: str) -> tuple[Field, Field, Field]:
+    """Angle, speed and commanded angle of a joint."""
+    return (
+        Field(f"{name}_pos", "rad", "position", "body", name, "yaw"),
+        Field(f"{name}_vel", "rad/s", "velocity", "body", name, "yaw"),
+        Field(f"cmd_{name}", "rad", "position", "body", name, "yaw"),
+    )
+
+
+_ARM = tuple(map(_joint, ("shoulder", "elbow", "wrist")))
 _PAIR = Schema(
     (
         Field("left_pos", "m", "position", "world", "left", "x"),
@@ -183,4 +201,26 @@ BASE = Machine(
     _base,
     _turned,
 )
-MACHINES = (CART, SERVO, PENDULUM, PAIR, BASE)
+ARM = Machine(
+    "arm",
+    Schema(
+        (*(position for position, _, _ in _ARM), *(velocity for _, velocity, _ in _ARM)),
+        tuple(command for _, _, command in _ARM),
+    ),
+    (
+        Parameter("stiffness", "1/s^2", 40.0, 400.0),
+        Parameter("damping", "1/s", 5.0, 30.0),
+        Parameter("weight", "1/s^2", 1.0, 10.0),
+    ),
+    0.02,
+    _arm,
+)
+
+
+def _without_speeds(machine: Machine) -> Machine:
+    """The same machine, with recordings of its positions only."""
+    state = tuple(replace(f, observed=f.kind != "velocity") for f in machine.schema.state)
+    return replace(machine, name=f"{machine.name}_positions", schema=Schema(state, machine.schema.command))
+
+
+MACHINES = (CART, SERVO, PENDULUM, PAIR, BASE, ARM, *map(_without_speeds, (SERVO, PENDULUM, ARM)))

@@ -113,9 +113,15 @@ def _forecast(
 def _moves(
     problem: Problem, fit: Fit, states: Float[np.ndarray, "n t s"], in_outputs: Sequence[bool]
 ) -> Bool[np.ndarray, " n"]:
-    """Which forecasts move one of the outputs in question clearly beyond its noise."""
+    """Which forecasts move one of the outputs in question clearly beyond its noise.
+
+    A velocity that recordings lack is seen in the position that it changes.
+    """
+    layout, asked = problem.augmented.layout, np.array(in_outputs)
     noise = 1.4826 * np.median(np.abs(fit.e @ np.linalg.inv(problem.whiten).T), axis=0)
-    return (np.ptp(states, axis=1) > CLEAR * noise)[:, np.array(in_outputs)].any(1)
+    hidden_rate = (layout.integrates >= 0) & ~layout.observed[layout.integrates]
+    asked = (asked | hidden_rate & asked[layout.integrates])[layout.observed]
+    return np.asarray((np.ptp(states[..., layout.observed], axis=1) > CLEAR * noise)[:, asked].any(1))
 
 
 def _best_of_each_kind(library: Sequence[_Sequence], best_first: Sequence[int]) -> list[int]:
