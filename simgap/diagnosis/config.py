@@ -2,6 +2,8 @@
 
 LEVEL = 0.004
 """Probability that noise alone passes for an effect, over all hypotheses together."""
+NEAR = 0.2
+"""The same of a screening after which the best hypotheses are fitted: their fits may pass where derivatives do not."""
 LEAST_SHARE = 0.03
 """A further effect must gain this share of what the accepted effects gained in the same outputs: smaller gains may only
 reflect misfit of their laws."""
@@ -25,6 +27,8 @@ EXPLAINED = 0.5
 unnamed explains more."""
 BLOCK = 20
 """Rows per block; scores of rows in the same block are treated as dependent."""
+LEAST_BLOCK = 4
+"""Rows per block in short recordings, at least: the innovations of a right model do not depend on each other at all."""
 FEW = 10
 """Minimum number of blocks for the estimate of a variance."""
 LEAST_SESSIONS = 5

@@ -11,9 +11,11 @@ from simgap.ground.laws import Law, Uneven
 from simgap.ground.machines import MACHINES, Machine
 from simgap.types import Recording, Sessions
 
-SESSIONS, ROWS = 6, 210
-"""Of a case: equal shapes are compiled once."""
-HELD_OUT = 2
+USUAL, BRIEF = (6, 210), (2, 60)
+"""Sessions of a case and rows of each, usually and where little was recorded: equal shapes are compiled once."""
+SHARE_BRIEF = 0.15
+FITTED = 2 / 3
+"""Of the sessions; the others are held out."""
 FINER = 10
 """Steps of the machine in a row, by the midpoint rule."""
 KINDS = {"nothing": 0.12, "within": 0.25, "two": 0.08, "outside": 0.15, "mixed": 0.1, "many": 0.3}
@@ -21,7 +23,7 @@ KINDS = {"nothing": 0.12, "within": 0.25, "two": 0.08, "outside": 0.15, "mixed":
 either; and `MANY` of any families, as in real machines."""
 MANY = 3, 5
 STRAIGHT, BENDS = 0.4, (0.9, 4.0)
-"""Share of the laws whose strength is even; of the others, how much it varies at most and in how many waves per unit."""
+"""Share of the laws whose strength is even; how much that of the others varies, and its waves per unit, at most."""
 EVERYWHERE = 0.5
 """Share of the laws that act along all axes; the others act along one."""
 SIZES = 0.01, 0.5
@@ -67,15 +69,16 @@ def draw(number: int) -> Case:
     params = _parameters(machine, rng)
     rate = _rate(machine, params)
     drawn = int(rng.integers(2**32))
+    (count, rows) = BRIEF if rng.random() < SHARE_BRIEF else USUAL
     share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
     clean, shaken = [], np.zeros(machine.velocities)
-    for session in range(SESSIONS):
+    for session in range(count):
         # The same laws in all sessions, but for what is random in time.
         laws = [_law(machine, f, s, rate, np.random.default_rng([drawn, i]))
                 for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
         for law in laws:
             law.begin(np.random.default_rng([drawn, len(laws), session]))
-        command, shakes = _commands(machine, rng), rng.standard_normal((WARM + ROWS, machine.velocities))
+        command, shakes = _commands(machine, rng, rows), rng.standard_normal((WARM + rows, machine.velocities))
         if session == 0 and share:
             calm = _simulated(machine, params, [], command, shakes * 0)
             shaken = share * np.std(np.diff(calm.state[:, machine.positions :], axis=0), 0)
@@ -83,7 +86,7 @@ def draw(number: int) -> Case:
     scale = np.exp(rng.uniform(*np.log(NOISE))) * np.std(np.concatenate([np.diff(c.state, axis=0) for c in clean]), 0)
     tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
     recordings = [_measured(f"session_{i:02d}", machine, c, scale, tails, rng) for i, c in enumerate(clean)]
-    fitted = SESSIONS - HELD_OUT
+    fitted = max(int(FITTED * count), 1)
     changed = np.concatenate([c.changed for c in clean[:fitted]])
     random = np.hypot(scale, np.concatenate([np.zeros(machine.positions), shaken]))
     observed = np.array([f.observed for f in machine.schema.state])
@@ -128,9 +131,9 @@ def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
     return float(np.abs(at[0] - at[1]).max())
 
 
-def _commands(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray, "T u"]:
-    """Steps, waves or a wander, per channel and session."""
-    rows = WARM + ROWS
+def _commands(machine: Machine, rng: np.random.Generator, rows: int) -> Float[np.ndarray, "T u"]:
+    """Steps, waves or a wander, per channel and session; for so many rows that are recorded."""
+    rows += WARM
     t = np.arange(rows)
     columns = []
     for _ in machine.schema.command:

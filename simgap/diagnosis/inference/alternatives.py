@@ -22,7 +22,7 @@ from simgap.diagnosis.inference.model import (
     settled,
 )
 from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.score_test import Screening
+from simgap.diagnosis.inference.screening import Screening
 from simgap.diagnosis.inference.select import one_more
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density

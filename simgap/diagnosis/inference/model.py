@@ -9,7 +9,7 @@ from jaxtyping import Float
 from simgap.diagnosis.config import LEAST_SHARE
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import CONVERGED, optimise
-from simgap.diagnosis.inference.score_test import Screening
+from simgap.diagnosis.inference.screening import Screening
 from simgap.diagnosis.likelihood.derivatives import constant_columns
 from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, start, whitening, with_value
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -71,10 +71,14 @@ HeldOutCheck = Callable[[Problem, Trial, float], bool]
 
 
 class Round(NamedTuple):
-    """One search for one more effect: the screening, the fitted hypotheses (best first), and the accepted one."""
+    """One search for one more effect: the screening, the fitted hypotheses (best first), and the accepted one.
+
+    p_value: that noise alone gains as much as the best, as it was screened or as it was fitted.
+    """
 
     screening: Screening
     tried: list[Trial]
+    p_value: float
     accepted: str | None = None
 
     @property

@@ -141,10 +141,10 @@ def _best_term(
     axes, pushes = list(rows.echoes), [f.of(rows.z) for f in functions]
     batches = [w for of_axis in side_by_side(weighed, axes) for w in of_axis]
     combined = Weighed(*(np.concatenate(a) for a in zip(*batches, strict=True)))
-    p_value, threshold = by_chance(combined, LEVEL, rng)
-    best = int(combined.statistic.argmax())
+    chance, best = by_chance(combined, rng), int(combined.statistic.argmax())
     axis, function = axes[best // len(functions)], functions[best % len(functions)]
-    return (Term(axis, function.depends_on, float(combined.gain[best])), function), p_value, threshold / 2
+    term = Term(axis, function.depends_on, float(combined.gain[best])), function
+    return term, chance.p_value(combined.statistic[best]), chance.critical(LEVEL) / 2
 
 
 def _fit_terms(rows: _Rows, heldout: _Rows, fit: Fit, chosen: Sequence[_Part]) -> Law:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from simgap.diagnosis.config import BLOCK, FEW
+from simgap.diagnosis.config import BLOCK, FEW, LEAST_BLOCK
 
 DRAWS = 4000
 AT_ONCE = 1000
@@ -94,25 +94,38 @@ def _variance(
 
 
 def blocks(counts: np.ndarray) -> np.ndarray:
-    """First rows of the blocks, among the rows that count. No block crosses two segments."""
+    """First rows of the blocks, among the rows that count. No block crosses two segments.
+
+    Short recordings have shorter blocks, so that there are `FEW` of them.
+    """
     starts, total = [], 0
+    length = int(np.clip(counts.sum() // FEW, LEAST_BLOCK, BLOCK))
     for n in counts.sum(1):
-        starts += list(range(total, total + int(n), BLOCK))
+        starts += list(range(total, total + int(n), length))
         total += int(n)
     return np.array(starts, int)
 
 
-def by_chance(weighed: Weighed, level: float, rng: np.random.Generator) -> tuple[float, float]:
-    """p-value of the greatest statistic under noise alone, and the critical value at `level`.
+class Chance(NamedTuple):
+    """The null distribution of the greatest statistic. maxima: draws of it. enough: whether there are enough blocks."""
 
-    The null distribution of the maximum comes from random weights on the blocks' scores (multiplier bootstrap). With
-    fewer than `FEW` blocks there is no such distribution, so the p-value is one: nothing is significant.
-    """
+    maxima: Float[np.ndarray, " draws"]
+    enough: bool
+
+    def p_value(self, statistic: float) -> float:
+        """Probability of a statistic as great under noise alone; one if there are too few blocks to say."""
+        return float((1 + (self.maxima >= statistic).sum()) / (1 + len(self.maxima))) if self.enough else 1.0
+
+    def critical(self, level: float) -> float:
+        """The statistic that noise alone exceeds with that probability."""
+        return float(np.quantile(self.maxima, 1 - level))
+
+
+def by_chance(weighed: Weighed, rng: np.random.Generator) -> Chance:
+    """What noise alone gives: random weights on the blocks' scores (multiplier bootstrap)."""
     multipliers = rng.standard_normal((weighed.left.shape[1], DRAWS), np.float32)
     noise = np.zeros(DRAWS, np.float32)
     for first in range(0, len(weighed.left), AT_ONCE):
         part = weighed.left[first : first + AT_ONCE].astype(np.float32)
         noise = np.maximum(noise, ((part @ multipliers) ** 2).max(0))
-    strongest, draws = weighed.statistic.max(initial=0.0), len(noise)
-    p_value = 1.0 if weighed.left.shape[1] < FEW else float((1 + (noise >= strongest).sum()) / (1 + draws))
-    return p_value, float(np.quantile(noise, 1 - level))
+    return Chance(noise, weighed.left.shape[1] >= FEW)

@@ -17,7 +17,8 @@ from simgap.diagnosis.inference.heldout import gain
 from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, without
 from simgap.diagnosis.inference.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.inference.scan import gain_of, narrowest, onset, scores, stretch
-from simgap.diagnosis.inference.score_test import Screened, Screening, vary
+from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.screening import Screened, Screening
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.segments import Chunks, Rows, rows_of
 from simgap.effects.regime import Regime, features
@@ -121,7 +122,8 @@ def hidden_restriction(
     # One look at a time: all rows for all looks would take gigabytes.
     per_look = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]
     weighed = Weighed(*(np.concatenate(fields) for fields in zip(*per_look, strict=True)))
-    p_value, threshold = by_chance(weighed, LEVEL, rng)
+    chance = by_chance(weighed, rng)
+    p_value, threshold = chance.p_value(weighed.statistic.max(initial=0.0)), chance.critical(LEVEL)
     report(f"effects from a time on, or in a regime: p = {p_value:.4f}")
     statistic, of_regimes = weighed.statistic.reshape(len(looks), -1), np.array([look.regime for look in looks])
     tried = []

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.screening import Screened, Screening
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, trials, with_value
 from simgap.diagnosis.likelihood.student_t import weights
@@ -34,27 +34,6 @@ DEPENDENT = 1e-6
 """Eigenvalues of a Gram matrix below this share of the greatest are rounding errors."""
 
 
-class Screened(NamedTuple):
-    """A hypothesis at a start: expected gain [nats] and test statistic (chi-squared with one degree of freedom).
-
-    constant: index of the one tested; tested: its value in the test. power: gain [nats] of an effect of that value, so
-    what the recordings could have shown.
-    """
-
-    hypothesis: Hypothesis
-    start: tuple[float, ...]
-    constant: int
-    gain: float
-    statistic: float
-    power: float
-    tested: float
-
-    @property
-    def as_it_stands(self) -> float:
-        """Expected gain [nats] at the start itself, rather than with the best amplitude along its direction."""
-        return 2 * np.sqrt(self.gain * self.power) - self.power
-
-
 class _Direction(NamedTuple):
     """One constant of a hypothesis at its start, with the other amplitudes at zero."""
 
@@ -65,20 +44,6 @@ class _Direction(NamedTuple):
 
 _Tested = tuple[_Direction, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 """A direction with the score and information of every row."""
-
-
-class Screening(NamedTuple):
-    """All hypotheses, best first, the evidence for each, and the p-value of the best under noise alone.
-
-    threshold: critical value of the statistic at `LEVEL`. untested: names of the hypotheses with which the simulator
-    diverges from every start.
-    """
-
-    found: list[Screened]
-    evidence: Evidence
-    p_value: float
-    threshold: float
-    untested: tuple[str, ...]
 
 
 def vary(v: Variables, hypothesis: Hypothesis, constants: Sequence[float]) -> Variables:
@@ -108,7 +73,7 @@ def screen(
     hypotheses: Sequence[Hypothesis],
     rng: np.random.Generator,
 ) -> Screening:
-    """Test all hypotheses against the fitted model at `LEVEL`. basis: orthonormal columns of what the model absorbs."""
+    """Test all hypotheses against the fitted model. basis: orthonormal columns of what the model absorbs."""
     w = weights(fit.e, fit.noise).astype(np.float32)
     root = np.sqrt(w).reshape(-1)
     # At the optimum the residual is orthogonal to what the model absorbs, but for rounding in float32.
@@ -151,7 +116,7 @@ def screen(
     evidence = Evidence(*(a[best_first] for a in evidence))
     tested_names = {s.hypothesis.name for s in found}
     untested = tuple(c.name for c in hypotheses if c.name not in tested_names)
-    return Screening([found[i] for i in best_first], evidence, *by_chance(weighed, LEVEL, rng), untested)
+    return Screening([found[i] for i in best_first], evidence, by_chance(weighed, rng), untested)
 
 
 def basis_of(rows: Float[np.ndarray, "M m"]) -> Float[np.ndarray, "m r"]:

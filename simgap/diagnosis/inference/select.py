@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simgap.diagnosis.config import LEVEL, MOST_EFFECTS, MOST_SITES
+from simgap.diagnosis.config import LEVEL, MOST_EFFECTS, MOST_SITES, NEAR
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, optimise, refine
 from simgap.diagnosis.inference.model import (
@@ -22,7 +22,8 @@ from simgap.diagnosis.inference.model import (
 )
 from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
-from simgap.diagnosis.inference.score_test import Screened, screen, vary
+from simgap.diagnosis.inference.score_test import screen, vary
+from simgap.diagnosis.inference.screening import Screened
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -62,8 +63,8 @@ def one_more(
     screening = screen(problem, fit, allowance.whole, free, rng)
     report(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
     incumbent = [allowance.judged(own)] if own else []
-    if screening.p_value > LEVEL:
-        return Round(screening, incumbent)
+    if screening.p_value > NEAR:
+        return Round(screening, incumbent, screening.p_value)
     held = hold(fit, absorbed)
     likely = [s for s in promising(screening.found) if s.hypothesis.name not in {t.hypothesis.name for t in incumbent}]
     tried: list[Trial] = []
@@ -78,9 +79,14 @@ def one_more(
     for batch in _at_once(sorted(finalists, key=lambda t: -t.promise)):
         best = max(t.gain for t in (*incumbent, *finalists, *tried))
         tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, batch)
-    tried = sorted([*incumbent, *(allowance.judged(t) for t in (*tried, *others))], key=lambda t: -t.gain)
-    report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats")
-    return Round(screening, tried)
+    judged = [allowance.judged(t) for t in (*tried, *others)]
+    p_values = [screening.p_value_of_fit(t.hypothesis.name, t.beyond) for t in judged]
+    if screening.p_value > LEVEL:  # then a fit has to pass by itself
+        judged = [t for t, p_value in zip(judged, p_values, strict=True) if p_value <= LEVEL]
+    tried = sorted([*incumbent, *judged], key=lambda t: -t.gain)
+    report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats" if tried else
+        "fitted, they gain no more than noise alone")  # fmt: skip
+    return Round(screening, tried, min([screening.p_value, *p_values]))
 
 
 def _at_once(ordered: Sequence) -> list[Sequence]:

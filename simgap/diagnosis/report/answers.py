@@ -82,7 +82,7 @@ def sensitivity_of(seen: Sensitivity) -> dict[str, Any]:
 def rounds_of(found: Explanation) -> list[dict[str, Any]]:
     return [
         {
-            "threshold_nats": r.screening.threshold / 2, "p_value": r.screening.p_value, "accepted": r.accepted,
+            "threshold_nats": r.screening.threshold / 2, "p_value": r.p_value, "accepted": r.accepted,
             "hypotheses": [
                 {"effect": t.hypothesis.effect.key, "where": t.hypothesis.where, "gain_nats": t.gain} for t in r.tried
             ] or [

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from simgap.diagnosis.config import BLOCK, FEW, POWER
+from simgap.diagnosis.config import FEW, LEAST_BLOCK, POWER
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.score_test import Screened, Screening, in_proportion
+from simgap.diagnosis.inference.score_test import in_proportion
+from simgap.diagnosis.inference.screening import Screened, Screening
 from simgap.diagnosis.likelihood.problem import Problem
 
 LARGEST = 10.0
@@ -84,7 +85,7 @@ def sensitivity(problem: Problem, screening: Screening, hypotheses: Sequence[Hyp
         tested.setdefault(s.hypothesis.name, []).append(s)
     single = [c for c in hypotheses if len(c.sites) == 1]
     visible = tuple(_visible(problem, c, tested.get(c.name, ()), needed) for c in single)
-    return Sensitivity(visible, needed, len(blocks(np.asarray(problem.chunks.counts))), FEW, FEW * BLOCK)
+    return Sensitivity(visible, needed, len(blocks(np.asarray(problem.chunks.counts))), FEW, FEW * LEAST_BLOCK)
 
 
 def _visible(problem: Problem, hypothesis: Hypothesis, tested: Sequence[Screened], needed: float) -> Visible:

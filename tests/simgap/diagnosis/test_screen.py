@@ -8,7 +8,8 @@ from small import RICH, sessions
 from simgap.diagnosis.config import BLOCK, FEW, LEVEL
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.null_distribution import Evidence, by_chance, weigh
-from simgap.diagnosis.inference.score_test import Screened, closer
+from simgap.diagnosis.inference.score_test import closer
+from simgap.diagnosis.inference.screening import Screened
 from simgap.diagnosis.likelihood.scales import measure
 
 KNOWN = hypotheses_of(SPOT, SCALES)
@@ -67,6 +68,6 @@ def test_in_too_few_blocks_nothing_can_be_told_from_noise(blocks: int) -> None:
     """However strong an effect is: one whose score is ten times its information in every row."""
     power = np.ones((3, blocks * BLOCK))
     weighed = weigh(Evidence(10 * power, power, np.ones(3, bool)), np.arange(0, blocks * BLOCK, BLOCK))
-    p_value, _ = by_chance(weighed, LEVEL, np.random.default_rng(0))
+    p_value = by_chance(weighed, np.random.default_rng(0)).p_value(weighed.statistic.max())
     assert (p_value < LEVEL) == (blocks == FEW)
     assert p_value <= 1
