@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.inference.screening import Screened, Screening
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, trials, with_value
