@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from planted import SCALES, SPOT
 from small import RICH, sessions
 
-from simgap.diagnosis.config import BLOCK, FEW, LEVEL
+from simgap.diagnosis.config import BLOCK, FEW, LEAST_BLOCK, LEVEL
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.null_distribution import Evidence, by_chance, weigh
+from simgap.diagnosis.inference.null_distribution import Chance, Evidence, blocks, by_chance, weigh
 from simgap.diagnosis.inference.score_test import closer
-from simgap.diagnosis.inference.screening import Screened
+from simgap.diagnosis.inference.screening import Screened, Screening
 from simgap.diagnosis.likelihood.scales import measure
 
 KNOWN = hypotheses_of(SPOT, SCALES)
@@ -63,11 +65,39 @@ def test_a_staircase_is_looked_for_at_odd_parts_and_on_single_commands() -> None
         assert {0.3, 0.1, 0.06} <= {round(d.values[0], 9) for d in found if d.hypothesis.where == hypothesis}
 
 
-@pytest.mark.parametrize("blocks", [FEW - 1, FEW])
-def test_in_too_few_blocks_nothing_can_be_told_from_noise(blocks: int) -> None:
+@pytest.mark.parametrize("count", [FEW - 1, FEW])
+def test_in_too_few_blocks_nothing_can_be_told_from_noise(count: int) -> None:
     """However strong an effect is: one whose score is ten times its information in every row."""
-    power = np.ones((3, blocks * BLOCK))
-    weighed = weigh(Evidence(10 * power, power, np.ones(3, bool)), np.arange(0, blocks * BLOCK, BLOCK))
+    power = np.ones((3, count * BLOCK))
+    weighed = weigh(Evidence(10 * power, power, np.ones(3, bool)), np.arange(0, count * BLOCK, BLOCK))
     p_value = by_chance(weighed, np.random.default_rng(0)).p_value(weighed.statistic.max())
-    assert (p_value < LEVEL) == (blocks == FEW)
+    assert (p_value < LEVEL) == (count == FEW)
     assert p_value <= 1
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=30))
+def test_blocks_are_as_long_as_the_recordings_allow(rows: list[int]) -> None:
+    """Never across two segments, never longer than `BLOCK`, and enough of them if there are enough rows."""
+    counts = np.arange(40) < np.array(rows)[:, None]
+    starts = blocks(counts)
+    ends = np.array([*starts[1:], sum(rows)])
+    assert starts.tolist() == sorted(set(starts))
+    assert {0, *np.cumsum(rows).tolist()} <= {*starts.tolist(), sum(rows)}
+    assert ((ends - starts) <= BLOCK).all()
+    if sum(rows) >= FEW * LEAST_BLOCK:
+        assert len(starts) >= FEW
+    if sum(rows) >= FEW * BLOCK:
+        assert len(starts) == sum(-(-n // BLOCK) for n in rows)
+
+
+@pytest.mark.parametrize("spread", [1.0, 4.0])
+def test_a_fit_passes_by_its_likelihood_ratio_on_the_scale_of_its_score(spread: float) -> None:
+    """spread: variance of the score over its information: noise that is not independent."""
+    maxima = np.random.default_rng(0).chisquare(1, 4000)
+    (delay,) = screened("delay on base", 1.0)
+    found = [delay._replace(gain=2.0, statistic=4.0 / spread)]
+    screening = Screening(found, Evidence(*np.zeros((2, 1, 0)), np.ones(1, bool)), Chance(maxima, enough=True), ())
+    assert screening.p_value_of_fit("delay on base", 2.0) == screening.p_value
+    needed = spread * screening.threshold / 2
+    assert screening.p_value_of_fit("delay on base", 1.01 * needed) <= LEVEL + 1e-3
+    assert screening.p_value_of_fit("delay on base", 0.8 * needed) > LEVEL
