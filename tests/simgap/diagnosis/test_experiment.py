@@ -1,6 +1,6 @@
 """An experiment moves what its question is about, within what was recorded, or there is none and a reason why."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,13 +8,17 @@ import pytest
 from test_numerics import known, optimised, posed
 from test_ranges import driven
 
-from examples.drive import PARAMETERS, Drive
+from examples.drive import DRIVE, PARAMETERS, Drive
 from simgap.diagnosis.inference.model import Model
 from simgap.diagnosis.inference.score_test import vary
-from simgap.diagnosis.likelihood.problem import evaluate
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
+from simgap.diagnosis.likelihood.unmeasured import guessed
 from simgap.diagnosis.report.experiment import SETTLED, Experiment, NoExperiment, design
+from simgap.effects.augmented import Augmented
 from simgap.effects.regime import EVERYWHERE
-from simgap.types import Field, Parameter, Recording, Schema
+from simgap.types import Field, Parameter, Recording, Schema, Sessions
 
 
 def _cart(body: str) -> tuple[Field, Field]:
@@ -79,6 +83,20 @@ def test_a_difference_in_another_channel_is_no_experiment_about_this_one(pair: M
     found = design(pair.problem, fits[0], fits[1], about, (EVERYWHERE,), side_by_side())
     if isinstance(found, Experiment):
         assert np.abs(found.commands[:, 1]).max() > 0
+
+
+def test_where_speeds_are_not_recorded_their_effect_is_seen_in_positions() -> None:
+    """At the truth, so that the question is what an experiment would show."""
+    state = tuple(replace(f, observed=f.kind == "position") for f in DRIVE.schema.state)
+    simulator = replace(DRIVE, schema=Schema(state, DRIVE.schema.command))
+    seen = [r._replace(state=r.state[:, :1]) for r in driven((2.0, 4.0), seed=1)]
+    recordings = guessed(Augmented(simulator).layout, Sessions(seen, [])).fitted
+    augmented = Augmented(simulator)
+    of = Problem(augmented, measure(augmented, recordings), cut(recordings, 0.02), np.eye(1))
+    model = optimised(of._replace(whiten=whitening(evaluate(of, start(of), ()).e)))
+    found = proposed(model, ("coulomb_friction on velocity", 1.0), ("viscous_drag on velocity", 0.2), recordings)
+    assert isinstance(found, Experiment), found.reason
+    assert np.abs(found.commands).max() > 0
 
 
 def test_two_laws_that_are_one_have_no_experiment(pair: Model) -> None:
