@@ -40,7 +40,7 @@ class Found(NamedTuple):
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, str]]) -> "Found":
-        """From the table of runs; of several versions the last one counts."""
+        """From rows of the table of runs; of several versions of a case the last one counts."""
         families, indicators, right = [], [], []
         for row in {row["case"]: row for row in rows}.values():
             columns = [row[name].split(SEPARATOR) if row[name] else [] for name in ("right", *Indicators._fields)]

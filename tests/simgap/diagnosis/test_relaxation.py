@@ -40,8 +40,8 @@ def test_a_channel_is_at_the_axis_that_it_drives() -> None:
 
 @pytest.mark.parametrize(
     ("number", "families", "named"),
-    [(16, ("dispersion",), {"delay"}), (351, ("friction", "lag"), {"coulomb_friction", "lag"})],
-    ids=["three poles", "a rounded friction, and a lag of two poles"],
+    [(551, ("lag",), {"lag"}), (628, ("delay", "rate_limit"), {"delay", "rate_limit"})],
+    ids=["a lag of two poles", "an uncertain delay, and a rounded limit"],
 )
 def test_what_a_law_is_wrong_by_has_no_name(number: int, families: tuple[str, ...], named: set[str]) -> None:
     case = draw(number)
@@ -52,7 +52,7 @@ def test_what_a_law_is_wrong_by_has_no_name(number: int, families: tuple[str, ..
 
 
 def test_where_the_law_is_nearly_exact_bending_it_gains_next_to_nothing() -> None:
-    case = draw(41)
+    case = draw(621)
     assert case.families == ("play",)
     found = explain(case.machine, case.sessions, np.random.default_rng(0), print)
     (play,) = found.members
