@@ -42,5 +42,4 @@ def run(params: GroundParams, root: Path) -> None:
     while not idle.empty():
         idle.get().shutdown()
     progress.say("\n".join(verdicts.summary(runs.own)))
-    # Of these cases only: a probability belongs to a population, and other numbers may have been drawn from another one.
-    progress.say(calibration.calibrate([row for row in runs.every if int(row["case"]) in wanted], root))
+    progress.say(calibration.calibrate(runs.every, root))
