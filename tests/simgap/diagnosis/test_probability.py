@@ -26,10 +26,14 @@ def test_what_explains_all_there_is_has_its_name() -> None:
     "against",
     [
         {"misfit": np.log(450), "bending": 0.6, "nameless": 0.5},
-        {"lesser": np.log(50), "far": 0.0, "next_row": 0.0},
-        {"far": np.log(1.003), "next_row": 0.0, "nameless": 0.7},
+        {"gain": np.log(20), "lesser": np.log(50), "far": 0.0, "next_row": 0.0},
+        {"gain": np.log(20), "far": np.log(1.003), "next_row": 0.0, "nameless": 0.7},
     ],
-    ids=["its law must bend and much is left", "it mends a stronger one", "it improves no forecast and much is left"],
+    ids=[
+        "its law must bend and much is left",
+        "it mends a stronger one",
+        "it is weak, no forecast improves, much is left",
+    ],
 )
 def test_what_stands_in_for_something_else_has_none(against: dict[str, float]) -> None:
     assert probability(PLAIN._replace(**against)) < KNOWN
