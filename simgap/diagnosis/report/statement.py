@@ -76,7 +76,7 @@ def statement(
     effects += hidden_effects(found) if verdict == "missing_physics" else []
     closest = [_effect(found, i, concluded, sessions.fitted) for i in _closest(found, concluded)]
     noise_effects = [_noise_effect(s) for s in found.noise_effects]
-    if verdict == "missing_physics":
+    if concluded.noise_named:
         effects += noise_effects
     else:
         closest += [e for e in noise_effects if e["heldout_gain_nats"] > 0]

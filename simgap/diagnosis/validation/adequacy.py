@@ -40,6 +40,11 @@ class Verdict(NamedTuple):
     indicators: tuple[Indicators, ...] = ()
     known: tuple[float, ...] = ()
 
+    @property
+    def noise_named(self) -> bool:
+        """Whether effects on the noise are named: not while physics is missing that may scatter the rows instead."""
+        return self.verdict == "missing_physics" and not self.something_else
+
 
 def conclude(
     found: Explanation, judged: Judgement, seen: Sensitivity, beyond: Explanation | None, rng: np.random.Generator
