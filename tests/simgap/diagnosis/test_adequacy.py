@@ -15,7 +15,7 @@ from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.validation import adequacy
-from simgap.diagnosis.validation.adequacy import Verdict, conclude
+from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.scores import (
     HORIZONS,
     Judged,
@@ -243,12 +243,3 @@ def test_the_parameters_of_these_tests_are_the_nominal_ones() -> None:
     """So that `nothing` is right, and not other parameters."""
     np.testing.assert_allclose([p.nominal for p in AS_IT_IS.parameters], PHI)
     assert SPOT.simulator.schema == AS_IT_IS.schema
-
-
-@pytest.mark.parametrize(
-    ("verdict", "more", "named"),
-    [("missing_physics", False, True), ("missing_physics", True, False), ("unexplained", True, False)],
-)
-def test_while_physics_is_missing_the_noise_has_no_name(verdict: str, more: bool, named: bool) -> None:
-    """What is missing may scatter the rows: on the training ground all sure names that were wrong were of the noise."""
-    assert Verdict(verdict, (), (), more, None, (), {}, False).noise_named == named

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simgap.diagnosis.config import KNOWN
+from simgap.diagnosis.validation.adequacy import Verdict
 from simgap.diagnosis.validation.calibration import TERMS, probability, within
 from simgap.diagnosis.validation.indicators import Indicators
 
@@ -49,3 +50,12 @@ def test_it_is_a_probability_and_beyond_experience_that_at_its_end(of: Indicator
 @pytest.mark.parametrize("name", ["lesser", "misfit", "far", "nameless", "rivals"])
 def test_what_speaks_against_a_name_makes_it_less_likely(name: str) -> None:
     assert probability(PLAIN._replace(**{name: TERMS[name].high})) < probability(PLAIN)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "more", "named"),
+    [("missing_physics", False, True), ("missing_physics", True, False), ("unexplained", True, False)],
+)
+def test_while_physics_is_missing_the_noise_has_no_name(verdict: str, more: bool, named: bool) -> None:
+    """What is missing may scatter the rows: on the training ground all sure names that were wrong were of the noise."""
+    assert Verdict(verdict, (), (), more, None, (), {}, False).noise_named == named
