@@ -22,6 +22,7 @@ KINDS = {"nothing": 0.12, "within": 0.25, "two": 0.08, "outside": 0.15, "mixed":
 """Shares of the cases by what is left out: nothing; a law that has a name, two of them; one that has none; one of
 either; and `MANY` of any families, as in real machines."""
 MANY = 3, 5
+"""Laws of a case that lacks many, from and to."""
 STRAIGHT, BENDS = 0.4, (0.9, 4.0)
 """Share of the laws whose strength is even; how much that of the others varies, and its waves per unit, at most."""
 EVERYWHERE = 0.5
@@ -42,7 +43,7 @@ class Case(NamedTuple):
 
     strength: half the squared change of the next row that the laws make, in units of the noise and of what changes the
     velocities at random, summed over the fitted rows and the outputs [nats]: what a perfect observer would gain who
-    knew state and laws.
+    knew state and laws. Of velocities that are not recorded, only what they change in their own row counts.
     """
 
     number: int
