@@ -3,7 +3,8 @@
 LEVEL = 0.004
 """Probability that noise alone passes for an effect, over all hypotheses together."""
 NEAR = 0.2
-"""The same of a screening after which the best hypotheses are fitted: their fits may pass where derivatives do not."""
+"""The same of a screening of short recordings after which the best hypotheses are fitted: their fits may pass where
+derivatives do not. In long ones the derivatives see enough, and such fits have passed by chance."""
 LEAST_SHARE = 0.03
 """A further effect must gain this share of what the accepted effects gained in the same outputs: smaller gains may only
 reflect misfit of their laws."""

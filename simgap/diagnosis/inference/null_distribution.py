@@ -93,13 +93,18 @@ def _variance(
     return np.maximum(over_rows * dependence, information), acted_in
 
 
+def short(counts: np.ndarray) -> bool:
+    """Whether there are too few rows for `FEW` blocks of the usual length."""
+    return bool(counts.sum() < FEW * BLOCK)
+
+
 def blocks(counts: np.ndarray) -> np.ndarray:
     """First rows of the blocks, among the rows that count. No block crosses two segments.
 
     Short recordings have shorter blocks, so that there are `FEW` of them.
     """
     starts, total = [], 0
-    length = int(np.clip(counts.sum() // FEW, LEAST_BLOCK, BLOCK))
+    length = max(int(counts.sum()) // FEW, LEAST_BLOCK) if short(counts) else BLOCK
     for n in counts.sum(1):
         starts += list(range(total, total + int(n), length))
         total += int(n)

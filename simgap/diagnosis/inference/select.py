@@ -20,6 +20,7 @@ from simgap.diagnosis.inference.model import (
     least,
     settled,
 )
+from simgap.diagnosis.inference.null_distribution import short
 from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
 from simgap.diagnosis.inference.score_test import screen, vary
@@ -63,7 +64,7 @@ def one_more(
     screening = screen(problem, fit, allowance.whole, free, rng)
     report(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
     incumbent = [allowance.judged(own)] if own else []
-    if screening.p_value > NEAR:
+    if screening.p_value > (NEAR if short(np.asarray(problem.chunks.counts)) else LEVEL):
         return Round(screening, incumbent, screening.p_value)
     held = hold(fit, absorbed)
     likely = [s for s in promising(screening.found) if s.hypothesis.name not in {t.hypothesis.name for t in incumbent}]
