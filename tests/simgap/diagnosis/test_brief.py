@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from examples.machines import BALL, GRAVITY
 from simgap.diagnosis.config import LEVEL
@@ -41,9 +39,10 @@ def test_drag_is_found_in_one_fall_though_the_filter_hides_it(seed: int) -> None
     assert all(r.p_value <= LEVEL for r in accepted)
 
 
-@settings(max_examples=8)
-@given(st.integers(0, 10**6), st.floats(0.03, 0.3))
-def test_in_a_free_fall_nothing_is_found(seed: int, noise: float) -> None:
+@pytest.mark.parametrize("seed", range(1000, 1008))
+def test_in_a_free_fall_nothing_is_found(seed: int) -> None:
+    """The seeds are fixed: by chance something is found in one fall of 250 (`LEVEL`)."""
+    noise = np.random.default_rng(seed).uniform(0.03, 0.3)
     said = diagnose(BALL, "ball", two_falls(0.0, noise, seed)).statement
     assert said["found"] == []
     assert said["verdict"] in ("inconclusive", "nothing")
