@@ -70,7 +70,7 @@ def draw(number: int) -> Case:
     params = _parameters(machine, rng)
     rate = _rate(machine, params)
     drawn = int(rng.integers(2**32))
-    (count, rows) = BRIEF if rng.random() < SHARE_BRIEF else USUAL
+    count, rows = BRIEF if rng.random() < SHARE_BRIEF else USUAL
     share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
     clean, shaken = [], np.zeros(machine.velocities)
     for session in range(count):
@@ -87,7 +87,7 @@ def draw(number: int) -> Case:
     scale = np.exp(rng.uniform(*np.log(NOISE))) * np.std(np.concatenate([np.diff(c.state, axis=0) for c in clean]), 0)
     tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
     recordings = [_measured(f"session_{i:02d}", machine, c, scale, tails, rng) for i, c in enumerate(clean)]
-    fitted = max(int(FITTED * count), 1)
+    fitted = int(FITTED * count)
     changed = np.concatenate([c.changed for c in clean[:fitted]])
     random = np.hypot(scale, np.concatenate([np.zeros(machine.positions), shaken]))
     observed = np.array([f.observed for f in machine.schema.state])
@@ -109,7 +109,7 @@ def _families(kind: str, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def _law(machine: Machine, family: str, size: float, rate: float, rng: np.random.Generator) -> Law:
-    """A law of the family, as even as this machine has it."""
+    """A law of the family, along some axes of the machine and with a strength that may vary."""
     law = FAMILIES[family].draw(rng, size, machine.time_step, rate)
     axes = np.ones(machine.velocities)
     if rng.random() > EVERYWHERE:
@@ -133,7 +133,7 @@ def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
 
 
 def _commands(machine: Machine, rng: np.random.Generator, rows: int) -> Float[np.ndarray, "T u"]:
-    """Steps, waves or a wander, per channel and session; for so many rows that are recorded."""
+    """Steps, waves or slow noise for every channel. rows: those that are recorded, after `WARM` others."""
     rows += WARM
     t = np.arange(rows)
     columns = []

@@ -146,6 +146,7 @@ FAMILIES: dict[str, Family] = {
     "bristles": Family(_named(), _bristles),
 }
 HELD = ("servo", "servo_positions", "arm", "arm_positions")
+"""Machines that servos hold at a commanded position."""
 EQUIVALENT = {(machine, "bias"): _named("sensor_bias") for machine in HELD}
 """On a machine, other names for a family: a steady push on a servo is an offset of the position that it is held to."""
 WITHIN = tuple(name for name, family in FAMILIES.items() if family.names)
