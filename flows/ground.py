@@ -17,6 +17,7 @@ from simgap.cli import progress
 from tasks import calibration, fingerprint, ground, verdicts
 from tasks.params_machines import GroundParams
 from tasks.params_machines import load_ground as load
+from tasks.processes import one_process
 
 __all__ = ["load", "run"]
 
@@ -30,7 +31,7 @@ def run(params: GroundParams, root: Path) -> None:
     progress.say(f"{len(wanted) - len(left)} of {len(wanted)} cases are diagnosed already")
     idle: Queue[ProcessPoolExecutor] = Queue()
     for _ in range(params.workers):
-        idle.put(ground.one_process())
+        idle.put(one_process())
     runner = ThreadPoolTaskRunner(max_workers=params.workers)
     with progress.bars("ground", len(left), time.monotonic) as bars, runner:
         common = {"seed": params.seed, "idle": idle, "job": bars.job, "keep": runs.keep}

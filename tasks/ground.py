@@ -4,7 +4,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
-from multiprocessing import get_context
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -16,15 +15,11 @@ from simgap.diagnosis.validation.indicators import Indicators
 from simgap.ground.draw import Case, draw
 from simgap.types import Report, SimgapError
 from tasks import verdicts
+from tasks.processes import one_process
 
 RUNS = Path("reports/ground/runs.csv")
 Job = Callable[[str, int], AbstractContextManager[Report]]
 Keep = Callable[[Mapping[str, Any]], None]
-
-
-def one_process() -> ProcessPoolExecutor:
-    """A process that diagnoses one case after the other, so that what it compiles serves all of them."""
-    return ProcessPoolExecutor(1, mp_context=get_context("spawn"))
 
 
 @task(task_run_name="diagnose-{number}")
