@@ -1,6 +1,6 @@
 """The catalogue of effects, physics that a simulator may lack: one physical family per file, all in `CATALOGUE`."""
 
-from simgap.effects import command_path, coupling, forces, limits, resistance, sensing, timing
+from simgap.effects import command_path, coupling, forces, limits, resistance, restoring, sensing, stops, timing
 from simgap.effects.effect import Effect
 
 CATALOGUE: tuple[Effect, ...] = (
@@ -8,8 +8,10 @@ CATALOGUE: tuple[Effect, ...] = (
     *timing.EFFECTS,
     *resistance.EFFECTS,
     *forces.EFFECTS,
+    *restoring.EFFECTS,
     *coupling.EFFECTS,
     *limits.EFFECTS,
+    *stops.EFFECTS,
     *sensing.EFFECTS,
 )
 """Laws of the mean, in the order in which they act at each place."""

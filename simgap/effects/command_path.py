@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.command_filters import backlash, lag, rate_limit
-from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site, channel_sites
+from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site
+from simgap.effects.sites import channel_sites
 from simgap.layout import Layout, X, Y
 
 _U = Float[Array, " u"]

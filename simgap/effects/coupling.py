@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Site, Step, body_sites, mounted, turning
+from simgap.effects.effect import Constant, Effect, Site, Step
+from simgap.effects.sites import body_sites, mounted, turning
 from simgap.kinematics import on_body, rigid
 from simgap.layout import YAW, Layout, X, Y
 

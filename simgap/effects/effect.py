@@ -9,12 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.engines import Table
-from simgap.kinematics import Motion, on_body
+from simgap.kinematics import Motion
 from simgap.layout import Layout
 
 Place = Literal["command", "filter", "before", "engine", "push", "after", "sensing"]
@@ -65,7 +64,9 @@ class Scales(NamedTuple):
     as it changes. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies
     `reaching` [n, 21]. height: the same of z, of the bodies `floored` [n, 21]. interval: time [s] over which each
     position integrates its velocity. output: 95th percentile of |output - median|. duration: of the longest session
-    [s]. time_step [s]. Only speed, reach, height and interval can be zero.
+    [s]. time_step [s]. travel, hold [n]: 95th percentile of |position|, and axis_command, of the bodies that keep their
+    place (`restoring.staying`). furthest [n]: greatest size of the outputs that may stop
+    (`stops.stopping`). Only speed, reach, height and interval can be zero.
     """
 
     command: np.ndarray
@@ -79,11 +80,14 @@ class Scales(NamedTuple):
     output: np.ndarray
     duration: float
     time_step: float
+    travel: np.ndarray = np.zeros(0)
+    hold: np.ndarray = np.zeros(0)
+    furthest: np.ndarray = np.zeros(0)
 
 
 class Site(NamedTuple):
     """Where an effect can act: its name, the commands and outputs concerned, its family and its unit. Sites of one
-    family may share constants; so may those of one branch within a family."""
+    family may share constants; so may those of one branch within a family. length: unit of the position there."""
 
     name: str
     channels: tuple[str, ...]
@@ -91,11 +95,12 @@ class Site(NamedTuple):
     family: str
     unit: str
     branch: str = ""
+    length: str = ""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """One constant: name, unit (`{u}`: the unit of the site), and its physical value from the internal one.
+    """One constant: name, unit (`{u}`, `{x}`: the site's unit and length), physical value from the internal one.
 
     `physical(c, index of the site, scales)`. `low`, `high`: bounds of the internal value. `shapes`: it shapes how the
     other constants act (such as an onset) and does nothing by itself. reciprocal: the internal value is one over a
@@ -153,7 +158,8 @@ class Effect:
 
 
 class Step(NamedTuple):
-    """What the law of a push can use: the motion now, the motion that the simulator expects, command and layout.
+    """What the law of a push can use: the motion now, the motion that the simulator expects, the states of both, the
+    command and the layout.
 
     response(): change of the expected own velocity per unit of push, by body and axis. own(): the expected motion of
     bodies that remember only their own velocity, not what carriers add. Each call computes one more simulator step.
@@ -161,89 +167,10 @@ class Step(NamedTuple):
 
     now: Motion
     then: Motion
+    states: tuple[Float[Array, " s"], Float[Array, " s"]]
     response: Callable[[], Float[Array, "b 4"]]
     own: Callable[[], Motion]
     command: Float[Array, " u"]
     layout: Layout
     scales: Scales
     row: Row
-
-
-def channel_sites(layout: Layout) -> tuple[Site, ...]:
-    """Every command channel."""
-    sites = []
-    for i, f in enumerate(layout.schema.command):
-        where = np.argwhere(layout.driven == i)
-        outputs: tuple[str, ...] = ()
-        if len(where):
-            body, axis = map(int, where[0])
-            shown = layout.outputs if layout.in_world("command", body) else layout.shown_in
-            outputs = shown(body, (axis,))
-        sites.append(Site(f.name, (f.name,), outputs, f.body or f.name, f.unit))
-    return tuple(sites)
-
-
-def axis_sites(layout: Layout) -> tuple[Site, ...]:
-    """Every (body, axis) that can be pushed, in the order of `axis_indices`."""
-    sites = []
-    for b, a in axis_indices(layout):
-        column = layout.driven[b, a]
-        channels = (layout.schema.command[column].name,) if column >= 0 else ()
-        (name,) = layout.outputs(b, (a,))
-        unit = layout.schema.state[layout.velocity[b, a]].effort or _unit_of_push(layout, b, a)
-        sites.append(Site(name, channels, layout.shown_in(b, (a,)), layout.bodies[b], unit))
-    return tuple(sites)
-
-
-def _unit_of_push(layout: Layout, b: int, a: int) -> str:
-    """Unit of the command in which a push enters; of the velocity, where there is none."""
-    column = layout.command[b, a]
-    return layout.schema.command[column].unit if column >= 0 else "rad/s" if a == 3 else "m/s"
-
-
-def axis_indices(layout: Layout) -> list[tuple[int, int]]:
-    """The (body, axis) pairs that can be pushed and whose velocity is known."""
-    return [(b, a) for b in range(len(layout.bodies)) for a in range(4) if layout.velocity[b, a] >= 0]
-
-
-def body_sites(layout: Layout, bodies: list[int], axes: tuple[int, ...]) -> tuple[Site, ...]:
-    """One site per body, acting along `axes`."""
-    return tuple(_body_site(layout, b, axes) for b in bodies)
-
-
-def _body_site(layout: Layout, b: int, axes: tuple[int, ...]) -> Site:
-    channels = tuple(layout.schema.command[int(c)].name for c in layout.command[b, list(axes)] if c >= 0)
-    return Site(layout.bodies[b], channels, layout.shown_in(b, axes), layout.bodies[b], "m/s")
-
-
-def mounted(layout: Layout) -> list[int]:
-    """Bodies on a carrier."""
-    return [b for b, c in enumerate(layout.carrier) if c is not None]
-
-
-def turning(layout: Layout) -> list[int]:
-    """Bodies with a yaw rate and velocities along x and y, not mounted."""
-    return [b for b, c in enumerate(layout.carrier) if c is None and all(layout.velocity[b, [0, 1, 3]] >= 0)]
-
-
-def reaching(layout: Layout) -> list[int]:
-    """Bodies on a carrier that commands drive along x and y."""
-    return [b for b in mounted(layout) if all(layout.command[b, [0, 1]] >= 0)]
-
-
-def floored(layout: Layout) -> list[int]:
-    """Bodies whose height is measured."""
-    return [b for b in range(len(layout.bodies)) if layout.position[b, 2] >= 0]
-
-
-def usual_push(layout: Layout, scales: Scales) -> Float[Array, "b 1"]:
-    """Usual size of a push on each body: its largest usual command."""
-    bodies = np.array([b for b, _ in axis_indices(layout)], int)
-    size = jnp.zeros(len(layout.bodies)).at[bodies].max(jnp.asarray(scales.axis_command))
-    return jnp.where(size > 0, size, 1.0)[:, None]
-
-
-def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:
-    """Values per axis site as a table of bodies x axes."""
-    places = zip(values, axis_indices(layout), strict=True)
-    return sum((on_body(layout, b, a, value) for value, (b, a) in places), jnp.zeros((len(layout.bodies), 4)))

@@ -5,19 +5,9 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import (
-    Constant,
-    Effect,
-    Scales,
-    Site,
-    Step,
-    axis_sites,
-    body_sites,
-    mounted,
-    on_axes,
-    turning,
-)
+from simgap.effects.effect import Constant, Effect, Scales, Site, Step
 from simgap.effects.resistance import speed
+from simgap.effects.sites import axis_sites, body_sites, mounted, on_axes, turning
 from simgap.kinematics import commanded, on_body, placed, rigid
 from simgap.layout import YAW, Layout, X, Y, Z
 

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Scales, Site, Step, body_sites, floored, reaching
+from simgap.effects.effect import Constant, Effect, Scales, Site, Step
+from simgap.effects.sites import body_sites, floored, reaching
 from simgap.kinematics import commanded, on_body, substituted
 from simgap.layout import Layout, X, Y, Z
 

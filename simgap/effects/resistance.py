@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Scales, Step, axis_sites, body_sites, on_axes, turning
+from simgap.effects.effect import Constant, Effect, Scales, Step
+from simgap.effects.sites import axis_sites, body_sites, on_axes, turning
 from simgap.kinematics import on_body
 from simgap.layout import YAW, X, Y
 

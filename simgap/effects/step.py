@@ -8,8 +8,9 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects.augmented import Active, Augmented, Law, Theta, where
 from simgap.effects.command_filters import NEVER, fading_of
-from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Memory, Row, Scales, Step, usual_push
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Memory, Row, Scales, Step
 from simgap.effects.sensing import padded
+from simgap.effects.sites import usual_push
 from simgap.effects.stepping import Given, next_state, parts_of, pushed_state, terms_of
 from simgap.engines import is_engine
 from simgap.kinematics import Motion, carried_velocity, motion, substituted
@@ -155,7 +156,7 @@ def advance(
             return motion(layout, next_state(augmented, alone, given))
 
         sent = u if u.ndim == 1 else u.mean(0)
-        step = Step(now, expected, response, own, sent, layout, scales, row)
+        step = Step(now, expected, (state, then), response, own, sent, layout, scales, row)
         moved, rates = with_push(sum((law(nil, step) for law in laws), nil))
         return moved + augmented.simulator.time_step * rates
 

@@ -7,7 +7,8 @@ Place "before": `law(c[k, sites], state, layout, scales) -> state` before the si
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Row, Scales, Site, body_sites, mounted
+from simgap.effects.effect import Constant, Effect, Row, Scales, Site
+from simgap.effects.sites import body_sites, mounted
 from simgap.kinematics import carried_velocity, placed, turned, wrapped
 from simgap.layout import YAW, Layout, X, Y
 

@@ -39,6 +39,7 @@ def scale_arrays(scales: Scales) -> dict[str, np.ndarray]:
 
 
 def pop_scales(arrays: dict[str, np.ndarray]) -> Scales:
-    """The scales among `arrays`, from which they are removed; KeyError if one is missing."""
-    scales = {name: arrays.pop(f"{SCALES}{name}") for name in Scales._fields}
+    """The scales among `arrays`, from which they are removed; KeyError if one is missing that has no default."""
+    names = [name for name in Scales._fields if f"{SCALES}{name}" in arrays or name not in Scales._field_defaults]
+    scales = {name: arrays.pop(f"{SCALES}{name}") for name in names}
     return Scales(**{name: float(v) if v.ndim == 0 else v for name, v in scales.items()})  # type: ignore[arg-type]

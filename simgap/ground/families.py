@@ -147,7 +147,13 @@ FAMILIES: dict[str, Family] = {
 }
 HELD = ("servo", "servo_positions", "arm", "arm_positions")
 """Machines that servos hold at a commanded position."""
-EQUIVALENT = {(machine, "bias"): _named("sensor_bias") for machine in HELD}
-"""On a machine, other names for a family: a steady push on a servo is an offset of the position that it is held to."""
+STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair")
+"""Machines whose bodies keep their place."""
+EQUIVALENT = {
+    **{(machine, "bias"): _named("sensor_bias") for machine in HELD},
+    **{(machine, "hardening"): _named("nonlinear_spring") for machine in STAYING},
+}
+"""On a machine, further names for a family. A steady push on a servo is an offset of the position that it is held to. A
+spring has a name where a body keeps its place."""
 WITHIN = tuple(name for name, family in FAMILIES.items() if family.names)
 OUTSIDE = tuple(name for name, family in FAMILIES.items() if not family.names)

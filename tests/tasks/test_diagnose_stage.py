@@ -32,7 +32,7 @@ STATEMENT: dict[str, Any] = {
                        "augmented": {"nll_1": {"value": float("nan"), "ci95": [0.0, 0.0]}}},
             "explained_share": None},
 }  # fmt: skip
-SCALES = Scales(*(np.ones(2) for _ in Scales._fields[:-2]), duration=2.0, time_step=0.02)
+SCALES = Scales(**{**dict.fromkeys(Scales._fields, np.ones(2)), "duration": 2.0, "time_step": 0.02})
 MODEL = AugmentedModel(
     np.array([2.0, 4.0]), *everywhere(np.zeros(7)), np.ones(2), np.full(2, 0.1), np.full(2, np.inf), np.eye(2), SCALES
 )

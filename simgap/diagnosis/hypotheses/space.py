@@ -89,7 +89,7 @@ def _hypothesis(augmented: Augmented, scales: Scales, e: int, where: str, member
 def unit_of(augmented: Augmented, hypothesis: Hypothesis, constant: Constant) -> str:
     """The unit of a hypothesis's constant at its site."""
     site = augmented.sites[augmented.catalogue.index(hypothesis.effect)][hypothesis.sites[0]]
-    return constant.unit.replace("{u}", site.unit)
+    return constant.unit.replace("{u}", site.unit).replace("{x}", site.length)
 
 
 def _site_groups(effect: Effect, sites: tuple[Site, ...]) -> list[tuple[str, tuple[int, ...]]]:

@@ -9,8 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Augmented
-from simgap.effects.effect import Scales, axis_indices, floored, reaching
+from simgap.effects.effect import Scales
+from simgap.effects.restoring import staying
+from simgap.effects.sites import axis_indices, floored, reaching
 from simgap.effects.stepping import efforts
+from simgap.effects.stops import stopping
 from simgap.engines import Engine, is_engine
 from simgap.kinematics import motion
 from simgap.rows import by_row
@@ -32,18 +35,23 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
     changes = np.abs(np.concatenate([np.diff(r.command, axis=0) for r in recordings]))
     velocity, position, _ = by_row(motion, layout, states)
     b, a = np.array(axis_indices(layout), int).reshape(-1, 2).T
+    held, places = staying(layout), list(zip(b.tolist(), a.tolist(), strict=True))
+    axis_command = _axis_commands(augmented, recordings, commands, velocity)
     return Scales(
         command=_typical_size(commands),
         command_step=np.array([_typical_size(c[c > STEPS * c.max(initial=0.0), None])[0] for c in changes.T]),
         speed=np.quantile(np.abs(velocity), 0.95, axis=0),
         axis_speed=_typical_size(velocity[:, b, a]),
-        axis_command=_axis_commands(augmented, recordings, commands, velocity),
+        axis_command=axis_command,
         reach=np.quantile(np.linalg.norm(position[:, reaching(layout), :2], axis=-1), QUANTILES, axis=0).T,
         height=np.quantile(position[:, floored(layout), 2], QUANTILES, axis=0).T,
         interval=_intervals(augmented, recordings),
         output=_typical_size(states - np.median(states, axis=0)),
         duration=float(max(r.time_s[-1] - r.time_s[0] for r in recordings)),
         time_step=float(augmented.simulator.time_step),
+        travel=_typical_size(states[:, [layout.position[place] for place in held]]),
+        hold=axis_command[[places.index(place) for place in held]],
+        furthest=np.abs(states[:, stopping(layout)]).max(0),
     )
 
 

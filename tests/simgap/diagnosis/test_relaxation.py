@@ -9,7 +9,7 @@ from planted import SPOT
 from simgap.diagnosis.hypotheses.place import place_of
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.relaxation import softly
-from simgap.effects.effect import channel_sites
+from simgap.effects.sites import channel_sites
 from simgap.ground.draw import draw
 
 

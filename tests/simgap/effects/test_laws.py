@@ -30,11 +30,13 @@ VOCABULARY = {
     "arm_base_coupling", "base_arm_coupling", "cross_axis_coupling", "rotation_centre", "centripetal", "slip",
     "slope", "body_frame_bias", "external_push", "reach_limit", "ground_contact", "gait_oscillation",
     "relative_smoothing", "frame_misalignment", "sampling_interval", "integration_rule", "motion_dependent_noise",
-    "sensor_delay", "sensor_bias", "sensor_scale",
+    "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "added_inertia",
+    "output_limit",
 }  # fmt: skip
 ADDITIONS = {"induced_velocity", "constant_load"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}
-ABOUT_A_WORLD_COORDINATE = {"sensor_scale", "sensor_bias"}
+ABOUT_A_PLACE = {"sensor_scale", "nonlinear_spring", "output_limit"}
+ABOUT_A_WORLD_COORDINATE = {*ABOUT_A_PLACE, "sensor_bias"}
 
 ROBOTS = {"spot": Augmented(Spot()), "car": Augmented(CAR), "drive": Augmented(DRIVE)}
 PHI = {
@@ -223,7 +225,9 @@ def test_every_effect_acts(robot: str) -> None:
     names, thetas = all_starts(robot)
     acted = np.zeros(len(names), bool)
     for seed in range(12):
-        _, values = slopes(robot, thetas, *scene(robot, seed), scales(robot))
+        memory, state, command = scene(robot, seed)
+        far = (1 + seed % 3) * state  # to where limits are
+        _, values = slopes(robot, thetas, memory, far, command, scales(robot))
         acted |= (np.abs(values - values[0]) > 1e-6).any(-1)
     assert {n for n, a in zip(names, acted, strict=True) if a} == set(names) - {"zero"}
 
@@ -235,9 +239,12 @@ def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
     """What a push sees in a random scene, whose response to a push is positive, as robots' are."""
     augmented = ROBOTS[robot]
     _, state, command = scene(robot, seed)
-    now, then = motion(augmented.layout, state), motion(augmented.layout, scene(robot, seed + 1)[1])
+    after = scene(robot, seed + 1)[1]
+    now, then = motion(augmented.layout, state), motion(augmented.layout, after)
     response = jnp.abs(motion(augmented.layout, scene(robot, seed + 2)[1]).velocity)
-    step = Step(now, then, lambda: response, lambda: then, command, augmented.layout, scales(robot), ROW)
+    step = Step(
+        now, then, (state, after), lambda: response, lambda: then, command, augmented.layout, scales(robot), ROW
+    )
     return step, np.asarray(response)
 
 
@@ -296,7 +303,7 @@ def test_resistances_are_nil_at_rest(robot: str) -> None:
     _, state, command = at_rest(robot)
     still = motion(augmented.layout, state)
     response = lambda: jnp.ones((len(still.velocity), 4))  # noqa: E731
-    step = Step(still, still, response, lambda: still, command, augmented.layout, scales(robot), ROW)
+    step = Step(still, still, (state, state), response, lambda: still, command, augmented.layout, scales(robot), ROW)
     for effect in resistance.EFFECTS:
         push = effect.law(jnp.ones((1, len(sites_of(robot, effect)))), step)
         assert not push.any()
@@ -339,7 +346,7 @@ def about_the_world(robot: str, effect: Effect, site: int, turned: bool) -> bool
     """Whether the law is about a place or a direction of the world."""
     if effect.id in ABOUT_A_WORLD_COORDINATE:
         field = ROBOTS[robot].simulator.schema.state[site]
-        if field.kind in ("position", "angle") and effect.id == "sensor_scale":
+        if field.kind in ("position", "angle") and effect.id in ABOUT_A_PLACE:
             return field.axis != "z" and (turned or field.kind == "position")
         return turned and field.frame == "world" and field.axis in ("x", "y")
     return turned and effect.id in ABOUT_A_WORLD_DIRECTION

@@ -1,0 +1,111 @@
+"""Springs, weight and inertia of bodies that keep their place: carts on a rail, joints, pendulums.
+
+Such a body has one axis only, along which its position is known. `law(c[k, sites], step) -> push[b, 4]`.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from simgap.effects.effect import Constant, Effect, Scales, Site, Step
+from simgap.effects.sites import axis_indices, axis_sites
+from simgap.kinematics import on_body
+from simgap.layout import Layout
+
+Axes = Callable[[Layout], list[tuple[int, int]]]
+
+
+def staying(layout: Layout) -> list[tuple[int, int]]:
+    """Those of `axis_indices` whose body has no other axis, and a known position; an engine's joints have terms."""
+    return [
+        (b, a) for b, a in axis_indices(layout)
+        if layout.single(b) and layout.position[b, a] >= 0 and layout.bodies[b] not in layout.joints
+    ]  # fmt: skip
+
+
+def _turning(layout: Layout) -> list[tuple[int, int]]:
+    """Those whose position is an angle."""
+    return [(b, a) for b, a in staying(layout) if layout.schema.state[layout.position[b, a]].unit == "rad"]
+
+
+def _driven(layout: Layout) -> list[tuple[int, int]]:
+    """Those that a command drives."""
+    return [(b, a) for b, a in staying(layout) if layout.driven[b, a] >= 0]
+
+
+def _sites(axes: Axes) -> Callable[[Layout], tuple[Site, ...]]:
+    def sites(layout: Layout) -> tuple[Site, ...]:
+        return tuple(
+            site._replace(length=layout.schema.state[layout.position[b, a]].unit)
+            for site, (b, a) in zip(axis_sites(layout), axis_indices(layout), strict=True)
+            if (b, a) in axes(layout)
+        )
+
+    return sites
+
+
+def _on(axes: Axes, layout: Layout, values: Iterable[Float[Array, ""]]) -> Float[Array, "b 4"]:
+    """One value per site as a table of bodies x axes, zero elsewhere."""
+    places = zip(values, axes(layout), strict=True)
+    return sum((on_body(layout, b, a, value) for value, (b, a) in places), jnp.zeros((len(layout.bodies), 4)))
+
+
+def _halfway(step: Step) -> Float[Array, "b 4"]:
+    """Positions in the middle of the step: a push is constant over the row, in which a stiff spring may turn round."""
+    now, then = step.states
+    columns = [step.layout.position[place] for place in staying(step.layout)]
+    return _on(staying, step.layout, [(now[i] + then[i]) / 2 for i in columns])
+
+
+def _spring(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c_0 x - c_1 x^3."""
+    linear, cubic = (_on(staying, step.layout, values) for values in c)
+    x = _halfway(step)
+    return -linear * x - cubic * x**3
+
+
+def _weight(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
+    """-c_0 sin(q - c_1)."""
+    moment, hanging = (_on(_turning, step.layout, values) for values in c)
+    return -moment * jnp.sin(_halfway(step) - hanging)
+
+
+def _inertia(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
+    """Reduces the change of the velocity to 1 / (1 + c) of what the simulator expects."""
+    share, response = _on(_driven, step.layout, c[0] / (1 + c[0])), step.response()
+    return -share * (step.then.velocity - step.now.velocity) / jnp.where(response != 0, response, jnp.inf)
+
+
+def _springs(scales: Scales, site: int) -> list[list[float]]:
+    """At the usual distance either term amounts to a tenth of the usual command."""
+    push, far = 0.1 * float(scales.hold[site]), float(scales.travel[site])
+    return [[push / far, push / far**3]]
+
+
+def _weights(scales: Scales, site: int) -> list[list[float]]:
+    """Hanging in any direction, in steps of 60 degrees; the fit starts from the nearest."""
+    return [[0.1 * float(scales.hold.max()), k * math.pi / 3] for k in range(-2, 4)]
+
+
+EFFECTS = (
+    Effect(
+        "nonlinear_spring", "push", (Constant("stiffness", "{u}/{x}"), Constant("cubic", "{u}/{x}^3")),
+        _sites(staying), _springs, _spring,
+        "a spring pulls back by {stiffness} times the displacement, and {cubic} times its cube",
+        tie="same_unit", bends=("place",),
+    ),
+    Effect(
+        "joint_gravity", "push", (Constant("moment", "{u}", low=0.0), Constant("hanging", "rad", shapes=True)),
+        _sites(_turning), _weights, _weight,
+        "a weight turns the joint: a moment of up to {moment} towards {hanging}, where it hangs",
+        bends=("place",),
+    ),
+    Effect(
+        "added_inertia", "push", (Constant("share", "-", low=0.0, high=100.0),), _sites(_driven),
+        lambda scales, site: [[0.1]], _inertia,
+        "added inertia: the body has {share} of its mass more than the simulator knows",
+        tie="any", bends=("command",),
+    ),
+)  # fmt: skip
