@@ -4,14 +4,14 @@ Such a body has one axis only, along which its position is known. `law(c[k, site
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Scales, Site, Step
-from simgap.effects.sites import axis_indices, axis_sites
-from simgap.kinematics import on_body
+from simgap.effects.sites import axis_indices, axis_sites, on_axes
+from simgap.kinematics import wrapped
 from simgap.layout import Layout
 
 Axes = Callable[[Layout], list[tuple[int, int]]]
@@ -46,35 +46,30 @@ def _sites(axes: Axes) -> Callable[[Layout], tuple[Site, ...]]:
     return sites
 
 
-def _on(axes: Axes, layout: Layout, values: Iterable[Float[Array, ""]]) -> Float[Array, "b 4"]:
-    """One value per site as a table of bodies x axes, zero elsewhere."""
-    places = zip(values, axes(layout), strict=True)
-    return sum((on_body(layout, b, a, value) for value, (b, a) in places), jnp.zeros((len(layout.bodies), 4)))
-
-
 def _halfway(step: Step) -> Float[Array, "b 4"]:
     """Positions in the middle of the step: a push is constant over the row, in which a stiff spring may turn round."""
     now, then = step.states
+    state = now + wrapped(step.layout, then - now) / 2
     columns = [step.layout.position[place] for place in staying(step.layout)]
-    return _on(staying, step.layout, [(now[i] + then[i]) / 2 for i in columns])
+    return on_axes(step.layout, [state[i] for i in columns], staying(step.layout))
 
 
 def _spring(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
     """-c_0 x - c_1 x^3."""
-    linear, cubic = (_on(staying, step.layout, values) for values in c)
+    linear, cubic = (on_axes(step.layout, values, staying(step.layout)) for values in c)
     x = _halfway(step)
     return -linear * x - cubic * x**3
 
 
 def _weight(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
     """-c_0 sin(q - c_1)."""
-    moment, hanging = (_on(_turning, step.layout, values) for values in c)
+    moment, hanging = (on_axes(step.layout, values, _turning(step.layout)) for values in c)
     return -moment * jnp.sin(_halfway(step) - hanging)
 
 
 def _inertia(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """Reduces the change of the velocity to 1 / (1 + c) of what the simulator expects."""
-    share, response = _on(_driven, step.layout, c[0] / (1 + c[0])), step.response()
+    share, response = on_axes(step.layout, c[0] / (1 + c[0]), _driven(step.layout)), step.response()
     return -share * (step.then.velocity - step.now.velocity) / jnp.where(response != 0, response, jnp.inf)
 
 

@@ -1,5 +1,7 @@
 """Where effects can act: commands, axes of bodies, and bodies."""
 
+from collections.abc import Iterable, Sequence
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -83,7 +85,9 @@ def usual_push(layout: Layout, scales: Scales) -> Float[Array, "b 1"]:
     return jnp.where(size > 0, size, 1.0)[:, None]
 
 
-def on_axes(layout: Layout, values: Float[Array, " n"]) -> Float[Array, "b 4"]:
-    """Values per axis site as a table of bodies x axes."""
-    places = zip(values, axis_indices(layout), strict=True)
-    return sum((on_body(layout, b, a, value) for value, (b, a) in places), jnp.zeros((len(layout.bodies), 4)))
+def on_axes(
+    layout: Layout, values: Iterable[Float[Array, ""]], places: Sequence[tuple[int, int]] | None = None
+) -> Float[Array, "b 4"]:
+    """Values per axis site as a table of bodies x axes, zero elsewhere. places: the axes, unless all of them."""
+    pairs = zip(values, axis_indices(layout) if places is None else places, strict=True)
+    return sum((on_body(layout, b, a, value) for value, (b, a) in pairs), jnp.zeros((len(layout.bodies), 4)))

@@ -18,7 +18,7 @@ _HEAD = """# Effects: the vocabulary of the diagnosis
 
 Printed from `simgap.effects.CATALOGUE` by `python -m simgap.effects.table`. Not in it are [effects on the
 noise](../explanation/method.md#effects-on-the-noise). `{u}` is the unit of the command, or of the axis, that an effect
-acts on. A name in braces stands for the constant of that name.
+acts on, `{x}` that of the position there. A name in braces stands for the constant of that name.
 """
 
 _BEHIND = """## Hidden between motor and link
