@@ -18,11 +18,14 @@ Axes = Callable[[Layout], list[tuple[int, int]]]
 
 
 def staying(layout: Layout) -> list[tuple[int, int]]:
-    """Those of `axis_indices` whose body has no other axis, and a known position; an engine's joints have terms."""
-    return [
-        (b, a) for b, a in axis_indices(layout)
-        if layout.single(b) and layout.position[b, a] >= 0 and layout.bodies[b] not in layout.joints
-    ]  # fmt: skip
+    """Those of `axis_indices` whose body has no other axis, and a known position. It is driven, or the position is one
+    within the machine: what falls through the world is tied to no place. An engine's joints have terms instead."""
+
+    def stays(b: int, a: int) -> bool:
+        held = layout.driven[b, a] >= 0 or layout.schema.state[layout.position[b, a]].frame == "body"
+        return held and layout.single(b) and layout.bodies[b] not in layout.joints
+
+    return [(b, a) for b, a in axis_indices(layout) if layout.position[b, a] >= 0 and stays(b, a)]
 
 
 def _turning(layout: Layout) -> list[tuple[int, int]]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from examples.car import CAR
 from examples.drive import DRIVE
+from examples.machines import BALL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.effects import CATALOGUE, restoring, stops
 from simgap.effects.augmented import Augmented
@@ -98,11 +99,12 @@ def test_where_nothing_is_planted_nothing_is_found() -> None:
 
 
 def test_bodies_that_wander_have_neither_springs_nor_stops() -> None:
-    """A spring would tie them to the origin of the world."""
+    """A spring would tie them to the origin of the world, as it would a ball that falls."""
     for robot in (Spot(), CAR):
         augmented = Augmented(robot)
         assert not restoring.staying(augmented.layout)
         assert not stops.stopping(augmented.layout)
         assert not any(s for e, s in zip(CATALOGUE, augmented.sites, strict=True) if e.id in IDS)
+    assert restoring.staying(Layout(BALL.schema)) == []
     assert len(restoring.staying(Layout(DRIVE.schema))) == 1
     assert stops.stopping(Layout(DRIVE.schema)) == [0, 1]
