@@ -1,4 +1,4 @@
-"""Springs, weight and inertia of bodies that keep their place: carts on a rail, joints, pendulums.
+"""Springs and weight of bodies that keep their place: carts on a rail, joints, pendulums.
 
 Such a body has one axis only, along which its position is known. `law(c[k, sites], step) -> push[b, 4]`.
 """
@@ -33,11 +33,6 @@ def _turning(layout: Layout) -> list[tuple[int, int]]:
     return [(b, a) for b, a in staying(layout) if layout.schema.state[layout.position[b, a]].unit == "rad"]
 
 
-def _driven(layout: Layout) -> list[tuple[int, int]]:
-    """Those that a command drives."""
-    return [(b, a) for b, a in staying(layout) if layout.driven[b, a] >= 0]
-
-
 def _sites(axes: Axes) -> Callable[[Layout], tuple[Site, ...]]:
     def sites(layout: Layout) -> tuple[Site, ...]:
         return tuple(
@@ -70,12 +65,6 @@ def _weight(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
     return -moment * jnp.sin(_halfway(step) - hanging)
 
 
-def _inertia(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """Reduces the change of the velocity to 1 / (1 + c) of what the simulator expects."""
-    share, response = on_axes(step.layout, c[0] / (1 + c[0]), _driven(step.layout)), step.response()
-    return -share * (step.then.velocity - step.now.velocity) / jnp.where(response != 0, response, jnp.inf)
-
-
 def _springs(scales: Scales, site: int) -> list[list[float]]:
     """At the usual distance either term amounts to a tenth of the usual command."""
     push, far = 0.1 * float(scales.hold[site]), float(scales.travel[site])
@@ -99,11 +88,5 @@ EFFECTS = (
         _sites(_turning), _weights, _weight,
         "a weight turns the joint: a moment of up to {moment} towards {hanging}, where it hangs",
         bends=("place",),
-    ),
-    Effect(
-        "added_inertia", "push", (Constant("share", "-", low=0.0, high=100.0),), _sites(_driven),
-        lambda scales, site: [[0.1]], _inertia,
-        "added inertia: the body has {share} of its mass more than the simulator knows",
-        tie="any", bends=("command",),
     ),
 )  # fmt: skip

@@ -98,7 +98,7 @@ def constants(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, ga
     reflect misfit between law and robot, which more rows do not remove. For an effect that changed since a baseline,
     values and intervals are those of the change: 0.07 s where a delay of 0.03 s became 0.10 s.
     """
-    described, deviations = [], _deviations(gain)
+    described, deviations = [], deviations_for(gain)
     for constant, group in zip(hypothesis.effect.constants, hypothesis.groups, strict=True):
         # In a support both act: the constant that holds everywhere, and the one added there.
         base = float(fit.v.theta[group.entries[0]]) if group.support else 0.0
@@ -120,7 +120,7 @@ def determined(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, g
     low, high = problem.augmented.bounds
     for group in hypothesis.groups:
         c = value_of(fit.v, group)
-        width = _deviations(gain) * float(sd.constants[fit.groups.index(group)])
+        width = deviations_for(gain) * float(sd.constants[fit.groups.index(group)])
         undetermined = c - width <= low[group.entries[0]] and c + width >= high[group.entries[0]]
         if undetermined or not width > 0 or _at_end(problem, fit, group):
             return False
@@ -139,7 +139,7 @@ def edges(problem: Problem, fit: Fit, hypothesis: Hypothesis, window: Window) ->
     ]
 
 
-def _deviations(gain: float) -> float:
+def deviations_for(gain: float) -> float:
     """Half-width of an interval in standard deviations, for an effect that gains `gain` nats."""
     return float(np.sqrt(Z95**2 + 2 * LEAST_SHARE * max(gain, 0.0)))
 

@@ -7,7 +7,7 @@ import numpy as np
 from simgap.diagnosis.config import EXPLAINED, KNOWN
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import gain
-from simgap.diagnosis.inference.posterior import differs_from_zero
+from simgap.diagnosis.inference.posterior import deviations_for, differs_from_zero
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.calibration import probability
@@ -110,15 +110,16 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
 
 def _is_named(found: Explanation, judged: Judgement, i: int, rng: np.random.Generator) -> bool:
     """Whether a likely cause may have its name: the search before found it too, if there were several, its constants
-    are plausible, and forecasts of several steps do not become worse by it, however well it predicts the next row:
-    significantly on held-out or fitted sessions, or by `LEAST_SHARE` on both."""
+    are plausible and not all intervals of its amplitudes include zero, and forecasts of several steps do not become
+    worse by it, however well it predicts the next row: significantly on held-out or fitted sessions, or by
+    `LEAST_SHARE` on both."""
     m, pairs = found.members[i], _pairs(judged, i)
     if m.hypothesis.effect.id in found.unsettled or found.stands_in(m):
         return False
     worse_on_both = set.intersection(*(scores.dearer_at(a, b) for a, b in pairs))
     if any(h > 1 for h in worse_on_both) or any(h > 1 for a, b in pairs for h in scores.worse_at(a, b, rng)):
         return False
-    return differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd)
+    return differs_from_zero(found.problem, found.fit, m.hypothesis, found.sd, deviations_for(m.gain))
 
 
 def _pairs(judged: Judgement, i: int) -> tuple[tuple[Judged, Judged], tuple[Judged, Judged]]:

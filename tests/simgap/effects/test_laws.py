@@ -30,8 +30,7 @@ VOCABULARY = {
     "arm_base_coupling", "base_arm_coupling", "cross_axis_coupling", "rotation_centre", "centripetal", "slip",
     "slope", "body_frame_bias", "external_push", "reach_limit", "ground_contact", "gait_oscillation",
     "relative_smoothing", "frame_misalignment", "sampling_interval", "integration_rule", "motion_dependent_noise",
-    "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "added_inertia",
-    "output_limit",
+    "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "output_limit",
 }  # fmt: skip
 ADDITIONS = {"induced_velocity", "constant_load"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}

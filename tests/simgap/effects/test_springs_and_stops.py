@@ -1,4 +1,4 @@
-"""Springs, weight, inertia and stops: laws of bodies that keep their place, planted by other code and named."""
+"""Springs, weight and stops: laws of bodies that keep their place, planted by other code and named."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from simgap.layout import Layout
 from simgap.simulators.spot import Spot
 from simgap.types import Field, Parameter, Recording, Schema, Sessions
 
-IDS = {"nonlinear_spring", "joint_gravity", "added_inertia", "output_limit"}
+IDS = {"nonlinear_spring", "joint_gravity", "output_limit"}
 ROWS, FINER, NOISE = 200, 50, 1e-3
 SPRING = 3.0
 Torque = Callable[[float], float]
@@ -34,7 +34,7 @@ SCHEMA = Schema(
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint that a torque turns against damping and a spring; its inertia is 1 kg m^2 and not to be fitted."""
+    """A joint that a torque turns against damping and a spring, with an inertia of 1 kg m^2."""
 
     schema: Schema = SCHEMA
     parameters: tuple[Parameter, ...] = (Parameter("damping", "N m s", 0.0, 2.0, nominal=0.6),)
@@ -53,17 +53,15 @@ class Joint:
 JOINT = Joint()
 
 
-def session(
-    rng: np.random.Generator, torque: Torque = lambda q: 0.0 * q, inertia: float = 1.0, stop: float = np.inf
-) -> Recording:
-    """The joint with a further torque(q), in steps far finer than a row; it may be heavier, and stop."""
+def session(rng: np.random.Generator, torque: Torque = lambda q: 0.0 * q, stop: float = np.inf) -> Recording:
+    """The joint with a further torque(q), in steps far finer than a row; it may stop."""
     h, q, w, seen = JOINT.time_step, 0.0, 0.0, []
     phases, t = rng.uniform(0, 2 * np.pi, 4), JOINT.time_step * np.arange(ROWS)
     command = 2.0 * np.sin(np.array([1.3, 2.1, 3.7, 5.9]) * t[:, None] + phases).sum(1)
     for u in command:
         seen.append((q, w))
         for _ in range(FINER):
-            w += h / FINER * (u - SPRING * q - 0.5 * w + torque(q)) / inertia
+            w += h / FINER * (u - SPRING * q - 0.5 * w + torque(q))
             q += h / FINER * w
             if abs(q) > stop:
                 q, w = np.sign(q) * stop, 0.0
@@ -74,7 +72,6 @@ def session(
 PLANTED = {
     "nonlinear_spring": ({"torque": lambda q: -2.0 * q - 5.0 * q**3}, {"stiffness": 2.0, "cubic": 5.0}),
     "joint_gravity": ({"torque": lambda q: -4.0 * np.sin(q - 0.4)}, {"moment": 4.0, "hanging": 0.4}),
-    "added_inertia": ({"inertia": 1.5}, {"share": 0.5}),
     "output_limit": ({"stop": 0.8}, {"limit": 0.8}),
 }
 
