@@ -11,7 +11,7 @@ from planted import PHI, SENSOR, SPOT
 from scipy.stats import binom
 from small import RICH, acting, sessions
 
-from simgap.diagnosis.config import LEVEL
+from simgap.diagnosis.config import LEAST_SHARE, LEVEL
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.validation import adequacy
@@ -107,17 +107,20 @@ def test_noise_about_a_refit_that_forecasts_worse_is_no_finding(refit: float, ve
 def test_what_makes_forecasts_worse_or_was_not_found_before_has_no_name(
     far: float, unsettled: bool, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(adequacy, "differs_from_zero", lambda *_: True)
+    asked: list[float] = []
+    monkeypatch.setattr(adequacy, "differs_from_zero", lambda *given: asked.append(given[-1]) is None)
     error = noise(0)
     error[:, 2] *= far
     without, augmented = judged(noise(0)), judged(error)
-    member: Any = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="sensor_scale")))
+    member: Any = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="sensor_scale")), gain=400.0)
     ids = frozenset({"sensor_scale"} if unsettled else ())
     found: Any = SimpleNamespace(
         members=[member], unsettled=ids, stands_in=lambda _: False, problem=None, fit=None, sd=None
     )
     of = Judgement({"augmented": augmented}, {"augmented": augmented}, ((without, without),))
     assert adequacy._is_named(found, of, 0, np.random.default_rng(0)) == named
+    # The interval that is stated must exclude zero. It covers what a small share of the gain would cost, too.
+    assert asked == ([pytest.approx(np.sqrt(1.96**2 + 2 * LEAST_SHARE * 400), rel=1e-3)] if named else [])
 
 
 def test_two_pieces_are_too_few_to_be_sure() -> None:
