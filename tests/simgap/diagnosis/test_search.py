@@ -77,6 +77,10 @@ UNSEEN = {
     "external_push.own_frame": "as well",
     "external_push.on_joint": "of an engine's joints: see test_engines",
     "constant_load": "as well",
+    "nonlinear_spring": "of bodies that keep their place: see test_springs_and_stops",
+    "joint_gravity": "as well",
+    "output_limit.quantity": "as well",
+    "output_limit.sensor": "as well",
 }
 
 

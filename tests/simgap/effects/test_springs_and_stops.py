@@ -53,8 +53,10 @@ class Joint:
 JOINT = Joint()
 
 
-def session(rng: np.random.Generator, torque: Torque = lambda q: 0.0 * q, stop: float = np.inf) -> Recording:
-    """The joint with a further torque(q), in steps far finer than a row; it may stop."""
+def session(
+    rng: np.random.Generator, torque: Torque = lambda q: 0.0 * q, stop: float = np.inf, rail: float = np.inf
+) -> Recording:
+    """The joint with a further torque(q), in steps far finer than a row; it may stop, or its sensor."""
     h, q, w, seen = JOINT.time_step, 0.0, 0.0, []
     phases, t = rng.uniform(0, 2 * np.pi, 4), JOINT.time_step * np.arange(ROWS)
     command = 2.0 * np.sin(np.array([1.3, 2.1, 3.7, 5.9]) * t[:, None] + phases).sum(1)
@@ -66,6 +68,7 @@ def session(rng: np.random.Generator, torque: Torque = lambda q: 0.0 * q, stop: 
             if abs(q) > stop:
                 q, w = np.sign(q) * stop, 0.0
     state = np.array(seen) + NOISE * rng.standard_normal((ROWS, 2))
+    state[:, 0] = np.clip(state[:, 0], -rail, rail)
     return Recording(f"session_{rng.integers(10**6)}", t, state, command[:, None])
 
 
@@ -73,6 +76,7 @@ PLANTED = {
     "nonlinear_spring": ({"torque": lambda q: -2.0 * q - 5.0 * q**3}, {"stiffness": 2.0, "cubic": 5.0}),
     "joint_gravity": ({"torque": lambda q: -4.0 * np.sin(q - 0.4)}, {"moment": 4.0, "hanging": 0.4}),
     "output_limit": ({"stop": 0.8}, {"limit": 0.8}),
+    "output_limit.sensor": ({"rail": 0.6}, {"limit": 0.6}),
 }
 
 
@@ -82,7 +86,7 @@ def test_what_is_planted_is_named_with_its_constants(id: str) -> None:
     recordings = [session(rng, **of) for _ in range(4)]
     statement = diagnose(JOINT, "joint", Sessions(recordings[:3], recordings[3:])).statement
     (named,) = statement["effects"]
-    assert named["id"] == id
+    assert named["id"] == id.partition(".")[0]
     for c in named["constants"]:
         assert c["value"] == pytest.approx(constants[c["name"]], rel=0.05), c
 
