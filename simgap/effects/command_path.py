@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.command_filters import backlash, lag, rate_limit
-from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site
+from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site, reciprocal
 from simgap.effects.sites import channel_sites
 from simgap.layout import Layout, X, Y
 
@@ -159,10 +159,6 @@ def _fixed(*values: float):
     return lambda scales, site: [[v] for v in values]
 
 
-def _reciprocal(c: float, *_: object) -> float:
-    return 1 / c if c else np.inf
-
-
 _RATIO = (Constant("ratio", "-", lambda c, site, scales: 1 - c, -2.0, 0.95),)
 
 EFFECTS = (
@@ -211,13 +207,13 @@ EFFECTS = (
         _misalignment, "the command frame is turned by {angle} against the assumed one", tie="any",
     ),
     Effect(
-        "saturation", "command", (Constant("limit", "{u}", _reciprocal, 0.0, reciprocal=True),), channel_sites,
+        "saturation", "command", (Constant("limit", "{u}", reciprocal, 0.0, reciprocal=True),), channel_sites,
         _reciprocals(lambda scales: scales.command, 2.2, 1.7, 1.3, 0.95, 0.8, 0.6, 0.35), _saturation,
         "saturation: commands beyond {limit} have no further effect", tie="same_unit",
     ),
     Effect(
         "rate_limit", "filter",
-        (Constant("limit", "{u}/s", lambda c, _, s: _reciprocal(c * s.time_step), 0.0, reciprocal=True),),
+        (Constant("limit", "{u}/s", lambda c, _, s: reciprocal(c * s.time_step), 0.0, reciprocal=True),),
         channel_sites,
         _reciprocals(lambda scales: scales.command_step, 16, 10, 6, 3.5, 2.0, 1.2, 0.7, 0.4, 0.2),
         rate_limit, "commands are followed no faster than {limit}", tie="same_unit",

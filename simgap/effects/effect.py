@@ -118,6 +118,11 @@ class Constant:
     credible: Callable[[int, Scales], float] = lambda site, scales: np.inf
 
 
+def reciprocal(c: float, *_: object) -> float:
+    """The limit whose reciprocal is c; infinite where there is none."""
+    return 1 / c if c else np.inf
+
+
 @dataclass(frozen=True)
 class Effect:
     """A law of the catalogue.

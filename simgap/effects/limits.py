@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Scales, Site, Step
+from simgap.effects.effect import Constant, Effect, Scales, Site, Step, reciprocal
 from simgap.effects.sites import body_sites, floored, reaching
 from simgap.kinematics import commanded, on_body, substituted
 from simgap.layout import Layout, X, Y, Z
@@ -68,23 +68,19 @@ def _floored_sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(Site(layout.bodies[b], (), tuple(names[i] for i in at[b]), layout.bodies[b], "m") for b in at)
 
 
-def _reach(c: float, site: int, scales: Scales) -> float:
-    return 1 / c if c else np.inf
-
-
 def _height(c: float, site: int, scales: Scales) -> float:
     return float(_depth(scales, site)) + c
 
 
 EFFECTS = (
     Effect(
-        "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
+        "reach_limit", "push", (Constant("reach", "m", reciprocal, 0.0),),
         lambda layout: body_sites(layout, reaching(layout), (X, Y)), _reaches, _outward(2),
         "reach limit: beyond a horizontal reach of {reach} the arm cannot follow outward commands", form="horizontal",
         bends=("place",),
     ),
     Effect(
-        "reach_limit", "push", (Constant("reach", "m", _reach, 0.0),),
+        "reach_limit", "push", (Constant("reach", "m", reciprocal, 0.0),),
         lambda layout: body_sites(layout, reaching(layout), (X, Y, Z)),
         lambda scales, site: [[0.8 * c[0]] for c in _reaches(scales, site)], _outward(3),
         "reach limit: beyond {reach} from its carrier's origin the arm cannot follow outward commands",

@@ -5,15 +5,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import SENSED_ROWS, Constant, Effect, Row, Scales, Site
+from simgap.effects.sites import output_sites
 from simgap.kinematics import wrapped
 from simgap.layout import Layout
-
-
-def _output_sites(layout: Layout) -> tuple[Site, ...]:
-    return tuple(
-        Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit, "in the plane" if f.axis in ("x", "y") else "")
-        for f in layout.schema.outputs
-    )
 
 
 def _sensors(layout: Layout) -> list[tuple[str, str, list[int]]]:
@@ -78,15 +72,15 @@ EFFECTS = (
         "measurements are {delay} older than their time stamp", tie="any", basins=True,
     ),
     Effect(
-        "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), _output_sites,
+        "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), output_sites,
         lambda scales, site: [[0.05]], _scale, "a measured output is scaled by {scale}", tie="any",
     ),
     Effect(
-        "sensor_bias", "sensing", (Constant("bias", "{u}"),), _output_sites,
+        "sensor_bias", "sensing", (Constant("bias", "{u}"),), output_sites,
         lambda scales, site: [[0.05 * float(scales.output[site])]], _bias, "a measured output is off by {bias}",
     ),
     Effect(
-        "sensor_bias", "sensing", (Constant("drift", "{u}/min"),), _output_sites, _drifting, _drift,
+        "sensor_bias", "sensing", (Constant("drift", "{u}/min"),), output_sites, _drifting, _drift,
         "a measured output drifts off by {drift}", form="drift",
     ),
 )  # fmt: skip

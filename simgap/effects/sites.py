@@ -25,6 +25,14 @@ def channel_sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(sites)
 
 
+def output_sites(layout: Layout) -> tuple[Site, ...]:
+    """Every output."""
+    return tuple(
+        Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit, "in the plane" if f.axis in ("x", "y") else "")
+        for f in layout.schema.outputs
+    )
+
+
 def axis_sites(layout: Layout) -> tuple[Site, ...]:
     """Every (body, axis) that can be pushed, in the order of `axis_indices`."""
     sites = []

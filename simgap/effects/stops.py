@@ -1,10 +1,10 @@
 """Limits at which a quantity stops, or its sensor: a full tank, an end of the rail, the range of a converter."""
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.effect import Constant, Effect, Row, Scales, Site
+from simgap.effects.effect import Constant, Effect, Row, Scales, Site, reciprocal
+from simgap.effects.sites import output_sites
 from simgap.kinematics import substituted
 from simgap.layout import Layout
 
@@ -22,8 +22,7 @@ def stopping(layout: Layout) -> list[int]:
 
 
 def _sites(layout: Layout) -> tuple[Site, ...]:
-    fields = [layout.schema.state[i] for i in stopping(layout)]
-    return tuple(Site(f.name, (), (f.name,), f"{f.body} {f.kind}", f.unit) for f in fields)
+    return tuple(output_sites(layout)[i] for i in stopping(layout))
 
 
 def _within(value: Float[Array, ""], c: Float[Array, ""]) -> Float[Array, ""]:
@@ -55,11 +54,7 @@ def _starts(scales: Scales, site: int) -> list[list[float]]:
     return [[1 / max(share * float(scales.furthest[site]), 1e-9)] for share in SHARES]
 
 
-def _limit(c: float, site: int, scales: Scales) -> float:
-    return 1 / c if c else np.inf
-
-
-_LIMIT = (Constant("limit", "{u}", _limit, 0.0, reciprocal=True),)
+_LIMIT = (Constant("limit", "{u}", reciprocal, 0.0, reciprocal=True),)
 
 EFFECTS = (
     Effect(

@@ -26,10 +26,6 @@ SCHEMA = Schema(
     (Field("q", "rad", "position", "body", "joint", "yaw"), Field("w", "rad/s", "velocity", "body", "joint", "yaw")),
     (Field("cmd", "N m", "force", "body", "joint", "yaw"),),
 )
-SCHEMA = Schema(
-    (Field("q", "rad", "position", "body", "joint", "yaw"), Field("w", "rad/s", "velocity", "body", "joint", "yaw")),
-    (Field("cmd", "N m", "force", "body", "joint", "yaw"),),
-)
 
 
 @dataclass(frozen=True)
@@ -75,18 +71,18 @@ def session(
 PLANTED = {
     "nonlinear_spring": ({"torque": lambda q: -2.0 * q - 5.0 * q**3}, {"stiffness": 2.0, "cubic": 5.0}),
     "joint_gravity": ({"torque": lambda q: -4.0 * np.sin(q - 0.4)}, {"moment": 4.0, "hanging": 0.4}),
-    "output_limit": ({"stop": 0.8}, {"limit": 0.8}),
+    "output_limit.quantity": ({"stop": 0.8}, {"limit": 0.8}),
     "output_limit.sensor": ({"rail": 0.6}, {"limit": 0.6}),
 }
 
 
-@pytest.mark.parametrize("id", PLANTED)
-def test_what_is_planted_is_named_with_its_constants(id: str) -> None:
-    rng, (of, constants) = np.random.default_rng(0), PLANTED[id]
+@pytest.mark.parametrize("key", PLANTED)
+def test_what_is_planted_is_named_with_its_constants(key: str) -> None:
+    rng, (of, constants) = np.random.default_rng(0), PLANTED[key]
     recordings = [session(rng, **of) for _ in range(4)]
     statement = diagnose(JOINT, "joint", Sessions(recordings[:3], recordings[3:])).statement
     (named,) = statement["effects"]
-    assert named["id"] == id.partition(".")[0]
+    assert f"{named['id']}.{named['form']}".rstrip(".") == key
     for c in named["constants"]:
         assert c["value"] == pytest.approx(constants[c["name"]], rel=0.05), c
 
