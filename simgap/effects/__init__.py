@@ -1,12 +1,13 @@
 """The catalogue of effects, physics that a simulator may lack: one physical family per file, all in `CATALOGUE`."""
 
-from simgap.effects import command_path, coupling, forces, limits, resistance, restoring, sensing, stops, timing
+from simgap.effects import command_path, coupling, forces, limits, resistance, restoring, sensing, stops, timing, tyres
 from simgap.effects.effect import Effect
 
 CATALOGUE: tuple[Effect, ...] = (
     *command_path.EFFECTS,
     *timing.EFFECTS,
     *resistance.EFFECTS,
+    *tyres.EFFECTS,
     *forces.EFFECTS,
     *restoring.EFFECTS,
     *coupling.EFFECTS,

@@ -81,6 +81,8 @@ UNSEEN = {
     "joint_gravity": "as well",
     "output_limit.quantity": "as well",
     "output_limit.sensor": "as well",
+    "tyre_slip.sideways": "of cars: see test_tyres",
+    "tyre_slip.turning": "as well",
 }
 
 

@@ -31,6 +31,7 @@ VOCABULARY = {
     "slope", "body_frame_bias", "external_push", "reach_limit", "ground_contact", "gait_oscillation",
     "relative_smoothing", "frame_misalignment", "sampling_interval", "integration_rule", "motion_dependent_noise",
     "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "output_limit",
+    "tyre_slip",
 }  # fmt: skip
 ADDITIONS = {"induced_velocity", "constant_load"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}
