@@ -108,8 +108,20 @@ class Layout:
         """Pairs of states (i, j) that are coupled in the bodies' own frames: measuring one informs about the other.
 
         States of one axis are: a body carries what is mounted on it, and a velocity moves its position. So are yaw and
-        y: a body that turns sweeps the arm ahead of it sideways. A joint's axis is coupled to no other body's.
+        y: a body that turns sweeps the arm ahead of it sideways. A joint's axis is coupled to no other body's. Of an
+        unmeasured state that is `apart` no axis says what informs about it: all that is measured may.
         """
+        measured = np.flatnonzero(self.observed).tolist()
+        return (*self._of_one_axis, *((i, j) for i in np.flatnonzero(self.apart).tolist() for j in measured))
+
+    @cached_property
+    def apart(self) -> np.ndarray:
+        """Which states are unmeasured and share no axis with a measured one."""
+        reached = {i for i, j in self._of_one_axis if self.observed[j]}
+        return np.array([not f.observed and i not in reached for i, f in enumerate(self.schema.state)], bool)
+
+    @cached_property
+    def _of_one_axis(self) -> tuple[tuple[int, int], ...]:
         axis = [{"yaw": "y"}.get(f.axis, f.axis) if f.body else "" for f in self.schema.state]
         kin = [f.body if f.body in self.joints else a for f, a in zip(self.schema.state, axis, strict=True)]
         return tuple((i, j) for i, a in enumerate(kin) for j, b in enumerate(kin) if i != j and a and a == b)

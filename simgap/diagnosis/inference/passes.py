@@ -30,7 +30,7 @@ def explained(
     Also returns the sessions with estimates of unmeasured states. Arguments and errors as in `diagnose`.
     """
     layout, before, latest = Layout(simulator.schema), None, None
-    sessions = guessed(layout, sessions)
+    sessions = guessed(simulator, sessions)
     for number in range(1, PASSES + 1):
         before = latest
         if before is not None:

@@ -77,10 +77,11 @@ def evaluate(problem: Problem, v: Variables, groups: tuple[Group, ...], noise: N
 def start(problem: Problem) -> Variables:
     """Initial variables: nominal parameters, equal weights of prediction and measurement, no effect.
 
-    Observed states correct an unobserved one with the gain that an alpha-beta filter has for the rate [Kalata 1984].
+    Observed states correct an unobserved one of their axis with the gain that an alpha-beta filter has for the rate
+    [Kalata 1984]; others, at first, not.
     """
     layout = problem.augmented.layout
-    follows = [not layout.observed[i] and bool(layout.observed[j]) for i, j in layout.akin]
+    follows = [not (layout.observed[i] or layout.apart[i]) and bool(layout.observed[j]) for i, j in layout.akin]
     sizes = (len(layout.schema.state), len(problem.augmented.slots))
     gain, zero = (np.zeros(n, np.float32) for n in sizes)
     phi = problem.augmented.nominal

@@ -1,7 +1,8 @@
 """Unmeasured states: their first guess, and their estimates by a fitted model.
 
-The slope of a position is the first guess of its velocity; it only initialises the filter. Once a model is fitted, each
-segment's start is fitted too, and the filter's estimates replace the slope.
+The slope of a position is the first guess of its velocity. The first guess of other states is where the simulator as it
+is leads them from zero, given what is measured. These guesses only initialise the filter. Once a model is fitted, each
+segment's start is fitted too, and the filter's estimates replace the guesses.
 """
 
 from collections.abc import Sequence
@@ -18,28 +19,47 @@ from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
 from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
-from simgap.layout import Layout
-from simgap.types import Recording, Sessions
+from simgap.effects.stepping import Given, next_state
+from simgap.engines import Engine, is_engine
+from simgap.types import Recording, Sessions, StepModel
 
 SLOPE_ROWS = 2
 """Rows before and after each row over which the slope of a position is taken."""
 
 
-def guessed(layout: Layout, sessions: Sessions) -> Sessions:
+def guessed(simulator: StepModel | Engine, sessions: Sessions) -> Sessions:
     """Sessions with a first guess of their unmeasured states, in columns after the measured ones."""
-    if layout.observed.all():
+    augmented = Augmented(simulator)
+    if augmented.layout.observed.all():
         return sessions
-    return Sessions(*([_guessed(layout, r) for r in recordings] for recordings in sessions))
+    return Sessions(*([_guessed(augmented, r) for r in recordings] for recordings in sessions))
 
 
-def _guessed(layout: Layout, recording: Recording) -> Recording:
+def _guessed(augmented: Augmented, recording: Recording) -> Recording:
+    layout = augmented.layout
     count = int(layout.observed.sum())
     state = np.zeros((len(recording.state), len(layout.observed)))
     state[:, :count] = recording.state
     for position, velocity in zip(layout.position.flat, layout.velocity.flat, strict=True):
         if velocity >= count > position >= 0:
             state[:, velocity] = _slopes(recording.time_s, state[:, position])
+    if layout.apart.any() and not is_engine(augmented.simulator):
+        led = np.asarray(_led(augmented, jnp.asarray(state, jnp.float32), jnp.asarray(recording.command, jnp.float32)))
+        state[:, layout.apart] = np.where(np.isfinite(led), led, 0.0)[:, layout.apart]
     return recording._replace(state=state)
+
+
+@partial(jax.jit, static_argnames="augmented")
+def _led(augmented: Augmented, state: Float[Array, "T s"], command: Float[Array, "T u"]) -> Float[Array, "T s"]:
+    """States of which those `apart` follow the simulator as it is, and the others are as given."""
+    apart = jnp.asarray(augmented.layout.apart)
+
+    def row(x: Float[Array, " s"], now: tuple) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
+        given, u = now
+        x = jnp.where(apart, x, given)
+        return next_state(augmented, x, Given(jnp.asarray(augmented.nominal), u, None, None)), x
+
+    return jax.lax.scan(row, jnp.zeros_like(state[0]), (state, command))[1]
 
 
 def _slopes(time_s: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:

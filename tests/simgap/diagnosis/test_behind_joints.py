@@ -21,7 +21,6 @@ from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import fit_noise, log_density
 from simgap.diagnosis.likelihood.unmeasured import guessed
 from simgap.effects.augmented import Augmented
-from simgap.layout import Layout
 from simgap.simulators.mujoco import load
 from simgap.types import Recording, Sessions
 
@@ -63,7 +62,7 @@ def rivals(truth: str, folder: Path) -> tuple[float, list[State]]:
     path = folder / "arm.xml"
     path.write_text(ARM.format(step=0.002, deflection=""))
     engine = load(path, STEP, ["pan_pos", "cmd_pan"])
-    sessions = guessed(Layout(engine.schema), Sessions(recordings(truth), [], []))
+    sessions = guessed(engine, Sessions(recordings(truth), [], []))
     problem = Problem(Augmented(engine), None, cut(sessions.fitted, STEP), np.eye(1))  # type: ignore[arg-type]
     v = start(problem)
     gain = np.asarray(gain_matrix(problem.augmented, v), float)[:, :1]
@@ -88,9 +87,7 @@ def test_the_hidden_state_that_is_there_explains_most(truth: str, effect: str, c
 
 def test_innovations_by_numpy_are_those_of_the_filter() -> None:
     engine = Servos(velocities=False)
-    sessions = guessed(
-        Layout(engine.schema), Sessions(recorded((0.3, 0.0, 0.0), velocities=False, sessions=2, rows=80), [], [])
-    )
+    sessions = guessed(engine, Sessions(recorded((0.3, 0.0, 0.0), velocities=False, sessions=2, rows=80), [], []))
     augmented = Augmented(engine)
     problem = Problem(augmented, measure(augmented, sessions.fitted), cut(sessions.fitted, 0.02), np.diag([2.0, 3.0]))
     v = start(problem)._replace(phi=np.array([0.1, 0.0, -0.2, 0.0], np.float32))

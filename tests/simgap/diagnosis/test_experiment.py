@@ -90,7 +90,7 @@ def test_where_speeds_are_not_recorded_their_effect_is_seen_in_positions() -> No
     state = tuple(replace(f, observed=f.kind == "position") for f in DRIVE.schema.state)
     simulator = replace(DRIVE, schema=Schema(state, DRIVE.schema.command))
     seen = [r._replace(state=r.state[:, :1]) for r in driven((2.0, 4.0), seed=1)]
-    recordings = guessed(Augmented(simulator).layout, Sessions(seen, [])).fitted
+    recordings = guessed(simulator, Sessions(seen, [])).fitted
     augmented = Augmented(simulator)
     of = Problem(augmented, measure(augmented, recordings), cut(recordings, 0.02), np.eye(1))
     model = optimised(of._replace(whiten=whitening(evaluate(of, start(of), ()).e)))
