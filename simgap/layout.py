@@ -116,9 +116,13 @@ class Layout:
 
     @cached_property
     def apart(self) -> np.ndarray:
-        """Which states are unmeasured and share no axis with a measured one."""
+        """Which states are unmeasured and share no axis with a measured one.
+
+        None of a machine with joints: its actuators' states follow the commands alone.
+        """
         reached = {i for i, j in self._of_one_axis if self.observed[j]}
-        return np.array([not f.observed and i not in reached for i, f in enumerate(self.schema.state)], bool)
+        fields = enumerate(self.schema.state)
+        return np.array([not (f.observed or i in reached or self.joints) for i, f in fields], bool)
 
     @cached_property
     def _of_one_axis(self) -> tuple[tuple[int, int], ...]:

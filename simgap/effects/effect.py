@@ -65,8 +65,8 @@ class Scales(NamedTuple):
     `reaching` [n, 21]. height: the same of z, of the bodies `floored` [n, 21]. interval: time [s] over which each
     position integrates its velocity. output: 95th percentile of |output - median|. duration: of the longest session
     [s]. time_step [s]. travel, hold [n]: 95th percentile of |position|, and axis_command, of the bodies that keep their
-    place (`restoring.staying`). furthest [n]: greatest size of the outputs that may stop
-    (`stops.stopping`). Only speed, reach, height and interval can be zero.
+    place (`restoring.staying`). furthest [n]: greatest size of the states that may stop (`stops.limited`). measured:
+    number of the measured ones of these. Only speed, reach, height, interval and measured can be zero.
     """
 
     command: np.ndarray
@@ -83,6 +83,7 @@ class Scales(NamedTuple):
     travel: np.ndarray = np.zeros(0)
     hold: np.ndarray = np.zeros(0)
     furthest: np.ndarray = np.zeros(0)
+    measured: float = 0.0
 
 
 class Site(NamedTuple):

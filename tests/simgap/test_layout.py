@@ -254,6 +254,7 @@ def test_what_is_measured_of_a_body_tells_of_what_it_carries_and_of_nothing_else
     assert len(akin) == len(SPOT.akin) == 4 * 3 + 6 * 5 + 2
     assert len(RAIL.akin) == 2
     assert not BARE.akin
+    assert not any(layout.apart.any() for layout in (SPOT, RAIL, BARE))
 
 
 @quick

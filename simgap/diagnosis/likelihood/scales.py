@@ -13,7 +13,7 @@ from simgap.effects.effect import Scales
 from simgap.effects.restoring import staying
 from simgap.effects.sites import axis_indices, floored, reaching
 from simgap.effects.stepping import efforts
-from simgap.effects.stops import stopping
+from simgap.effects.stops import limited, stopping
 from simgap.engines import Engine, is_engine
 from simgap.kinematics import motion
 from simgap.rows import by_row
@@ -51,7 +51,8 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
         time_step=float(augmented.simulator.time_step),
         travel=_typical_size(states[:, [layout.position[place] for place in held]]),
         hold=axis_command[[places.index(place) for place in held]],
-        furthest=np.abs(states[:, stopping(layout)]).max(0),
+        furthest=np.abs(states[:, limited(layout)]).max(0),
+        measured=float(len(stopping(layout))),
     )
 
 
