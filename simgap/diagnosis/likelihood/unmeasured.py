@@ -87,7 +87,10 @@ def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequen
 
 
 def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T s"]:
-    """States of the segments; the unmeasured ones of the first row are fitted by one weighted least-squares step."""
+    """States of the segments; the unmeasured ones of the first row are fitted by one weighted least-squares step.
+
+    Their usual size is the prior's standard deviation: a start that nothing measured depends on stays where it is.
+    """
     _, raw = filtered(problem.augmented, problem.scales, v, chunks)
     size = NORMAL_MAD * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
     moved = _steps(problem.augmented, problem.scales, v, chunks, jnp.asarray(1 / np.maximum(size, 1e-12)))
@@ -102,6 +105,7 @@ def _steps(
 ) -> Float[Array, "C k"]:
     """Least-squares steps of the unmeasured states in each segment's first row, which reduce its innovations."""
     hidden = np.flatnonzero(~augmented.layout.observed)
+    prior = jnp.diag(1 / scales.output[hidden])
 
     def one(chunk: Chunks) -> Float[Array, " k"]:
         def e(start: Float[Array, " k"]) -> Float[Array, " n"]:
@@ -110,7 +114,7 @@ def _steps(
             return (filtered(augmented, scales, v, nested)[1][0] * weight).ravel()
 
         start = chunk.state[0, hidden]
-        J, residuals = jax.jacfwd(e)(start), e(start)
-        return -jnp.linalg.lstsq(J, residuals, rcond=1e-4)[0]
+        J, residuals = jnp.concatenate([jax.jacfwd(e)(start), prior]), jnp.pad(e(start), (0, len(hidden)))
+        return -jnp.linalg.lstsq(J, residuals)[0]
 
     return jax.vmap(one)(bare(chunks))

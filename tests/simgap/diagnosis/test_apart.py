@@ -4,10 +4,15 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.likelihood.unmeasured import guessed
+from simgap.diagnosis.likelihood.problem import Problem, start
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.diagnosis.likelihood.segments import cut
+from simgap.diagnosis.likelihood.unmeasured import fitted_starts, guessed
+from simgap.effects.augmented import Augmented
 from simgap.layout import Layout
 from simgap.types import Field, Parameter, Recording, Schema, Sessions
 
@@ -44,8 +49,8 @@ class Tanks:
         return state
 
 
-def session(rng: np.random.Generator, full: float) -> Recording:
-    """Both tanks, of which the upper one holds no more than `full`, in steps far finer than a row."""
+def session(rng: np.random.Generator, upper_full: float = np.inf, lower_full: float = np.inf) -> Recording:
+    """Both tanks, which may overflow, in steps far finer than a row."""
     lower, upper, seen = 3.0, 3.0, []
     command = np.repeat(rng.uniform(0, 8.5, ROWS // 20), 20)
     for u in command:
@@ -53,16 +58,16 @@ def session(rng: np.random.Generator, full: float) -> Recording:
         for _ in range(FINER):
             h = Tanks().time_step / FINER
             through, out = UPPER * np.sqrt(upper), LOWER * np.sqrt(lower)
-            upper = float(np.clip(upper + h * (PUMP * u - through), 0.0, full))
-            lower = max(lower + h * (through - out), 0.0)
+            upper = float(np.clip(upper + h * (PUMP * u - through), 0.0, upper_full))
+            lower = float(np.clip(lower + h * (through - out), 0.0, lower_full))
     time_s, state = Tanks().time_step * np.arange(ROWS), np.array(seen)
     measured = state[:, :1] + NOISE * rng.standard_normal((ROWS, 1))
     return Recording(f"session_{rng.integers(10**6)}", time_s, measured, command[:, None])
 
 
-def recorded(seed: int, full: float) -> Sessions:
-    rng = np.random.default_rng(seed)
-    recordings = [session(rng, full) for _ in range(4)]
+def recorded(**full: float) -> Sessions:
+    rng = np.random.default_rng(0)
+    recordings = [session(rng, **full) for _ in range(4)]
     return Sessions(recordings[:3], recordings[3:])
 
 
@@ -70,24 +75,37 @@ def test_it_is_guessed_by_the_simulator_and_corrected_by_what_is_measured() -> N
     layout = Layout(SCHEMA)
     assert layout.apart.tolist() == [False, True]
     assert layout.akin == ((1, 0),)
-    (first, *_), _, _ = guessed(Tanks(), recorded(0, np.inf))
+    (first, *_), _, _ = guessed(Tanks(), recorded())
     # Twenty rows later the level of a leaking tank depends little on where it began.
     flows = np.sqrt(first.state[20:, 1])
     assert np.corrcoef(flows, np.sqrt(np.maximum(first.state[20:, 0], 0)))[0, 1] > 0.5
 
 
 def test_where_nothing_is_missing_nothing_is_found() -> None:
-    statement = diagnose(Tanks(), "tanks", recorded(0, np.inf)).statement
+    statement = diagnose(Tanks(), "tanks", recorded()).statement
     assert statement["found"] == []
     assert statement["verdict"] in ("nothing", "parameters_only", "inconclusive")
 
 
-def test_an_overflow_that_is_not_measured_is_named_with_its_level() -> None:
-    """Below, it looks as if the pump gave no more beyond some voltage."""
-    statement = diagnose(Tanks(), "tanks", recorded(0, 10.0)).statement
+@pytest.mark.parametrize(("tank", "width"), [("upper", 4.0), ("lower", 0.1)])
+def test_an_overflow_is_named_with_its_level(tank: str, width: float) -> None:
+    """Of the upper tank, whose level is not measured, as well: below, it looks as if the pump gave no more."""
+    statement = diagnose(Tanks(), "tanks", recorded(**{f"{tank}_full": 10.0})).statement
     (named,) = statement["effects"]
-    assert (named["id"], named["form"], named["where"]) == ("output_limit", "quantity", "upper")
+    assert (named["id"], named["form"], named["where"]) == ("output_limit", "quantity", tank)
     (limit,) = named["constants"]
     low, high = limit["ci95"]
     assert low < 10.0 < high
-    assert high - low < 4.0
+    assert high - low < width
+
+
+def test_a_start_that_nothing_measured_depends_on_stays_where_it_is() -> None:
+    """While the upper tank is full, the lower one does not tell how full it was before."""
+    sessions = guessed(Tanks(), recorded(upper_full=10.0))
+    augmented = Augmented(Tanks())
+    chunks = cut(sessions.fitted, Tanks().time_step)
+    problem = Problem(augmented, measure(augmented, sessions.fitted), chunks, np.eye(1))
+    theta = np.zeros(len(augmented.slots), np.float32)
+    theta[[augmented.catalogue[slot.effect].key == "output_limit.quantity" for slot in augmented.slots]] = 0.1
+    starts = fitted_starts(problem, start(problem)._replace(theta=theta), chunks)
+    assert np.abs(starts[:, 0, 1]).max() < 3 * np.abs(np.asarray(chunks.state)[:, :, 1]).max()
