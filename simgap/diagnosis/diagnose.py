@@ -191,7 +191,7 @@ def _model(found: Explanation) -> AugmentedModel:
     return AugmentedModel(
         np.asarray(v.phi),
         *found.acting(found.fit),
-        np.asarray(gain_matrix(problem.augmented, v)),
+        np.asarray(gain_matrix(problem.augmented, problem.scales, v)),
         noise.scale,
         noise.dof,
         problem.whiten,

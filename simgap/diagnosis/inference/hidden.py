@@ -222,7 +222,8 @@ def _gain(problem: Problem, v: Variables, engine: Engine) -> Float[np.ndarray, "
     """The gain of v; at the joint that with which a search starts, and none for the hidden states. The gain of v there
     makes up for what the rival explains."""
     fields, outputs = engine.schema.state, len(engine.schema.outputs)
-    own, first = (np.asarray(gain_matrix(problem.augmented, a), float)[:, :outputs] for a in (v, start(problem)))
+    whole = (gain_matrix(problem.augmented, problem.scales, a) for a in (v, start(problem)))
+    own, first = (np.asarray(K, float)[:, :outputs] for K in whole)
     here = [f.body == engine.terms[-1].where for f in fields[: len(own)]]
     return np.vstack([np.where(np.array(here)[:, None], first, own), np.zeros((len(fields) - len(own), outputs))])
 

@@ -51,16 +51,20 @@ def innovation(augmented: Augmented, y: Float[Array, "... s"], seen: Float[Array
     return e if observed.all() else jnp.where(observed, e, 0.0)
 
 
-def gain_matrix(augmented: Augmented, v: Variables) -> Float[Array, "s s"]:
+def gain_matrix(augmented: Augmented, scales: Scales, v: Variables) -> Float[Array, "s s"]:
     """K, in the bodies' own frames.
 
     Off-diagonal entries are fitted in units of the time step, so that all are of order one: an innovation of one
-    millimetre corrects a velocity by the order of one millimetre per time step.
+    millimetre corrects a velocity by the order of one millimetre per time step. Those of a state that is `apart` are in
+    units of its usual size over that of what is measured.
     """
     layout = augmented.layout
     rate = np.array([f.kind == "velocity" for f in layout.schema.state], float)
     i, j = np.array(layout.akin, int).reshape(-1, 2).T
     unit = augmented.simulator.time_step ** (rate[j] - rate[i])
+    if layout.apart.any():
+        size = jnp.asarray(scales.output)
+        unit = jnp.where(layout.apart[i], size[i] / size[j], unit)
     return jnp.diag(v.gain).at[i, j].set(v.cross * unit)
 
 
@@ -85,7 +89,7 @@ def _filter_segment(
 
     With `other` constants, each innovation is that of its own step taken with these, and all earlier steps with v's.
     """
-    K, phi = gain_matrix(augmented, v), jnp.asarray(v.phi)
+    K, phi = gain_matrix(augmented, scales, v), jnp.asarray(v.phi)
     at_start = acting(v, v.theta, chunk.gate[:, 0])
     first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
     memory = remember(augmented, phi, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)

@@ -123,7 +123,7 @@ def _segment(
 ) -> tuple[_Filtered, Float[Array, "W t s"]]:
     v, box, regimes = model
     assert box is not None  # set by `forecast`
-    phi, K = jnp.asarray(v.phi), gain_matrix(augmented, v)
+    phi, K = jnp.asarray(v.phi), gain_matrix(augmented, scales, v)
     active = augmented.active(v.theta, *v.delta)
 
     def row(carry, now):

@@ -8,6 +8,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.problem import Problem, start
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
@@ -79,6 +80,16 @@ def test_it_is_guessed_by_the_simulator_and_corrected_by_what_is_measured() -> N
     # Twenty rows later the level of a leaking tank depends little on where it began.
     flows = np.sqrt(first.state[20:, 1])
     assert np.corrcoef(flows, np.sqrt(np.maximum(first.state[20:, 0], 0)))[0, 1] > 0.5
+
+
+def test_its_gain_is_in_units_of_its_usual_size() -> None:
+    """A level that varies ten times as much as what is measured is corrected by as much."""
+    sessions, augmented = guessed(Tanks(), recorded()), Augmented(Tanks())
+    scales = measure(augmented, sessions.fitted)
+    v = start(Problem(augmented, scales, cut(sessions.fitted, Tanks().time_step), np.eye(1)))
+    K = np.asarray(gain_matrix(augmented, scales, v._replace(cross=np.ones(1, np.float32))))
+    assert K[1, 0] == pytest.approx(scales.output[1] / scales.output[0], rel=1e-5)
+    assert K[0, 1] == 0
 
 
 def test_where_nothing_is_missing_nothing_is_found() -> None:

@@ -65,7 +65,7 @@ def rivals(truth: str, folder: Path) -> tuple[float, list[State]]:
     sessions = guessed(engine, Sessions(recordings(truth), [], []))
     problem = Problem(Augmented(engine), None, cut(sessions.fitted, STEP), np.eye(1))  # type: ignore[arg-type]
     v = start(problem)
-    gain = np.asarray(gain_matrix(problem.augmented, v), float)[:, :1]
+    gain = np.asarray(gain_matrix(problem.augmented, problem.scales, v), float)[:, :1]
     given = driven(problem, v)
     e = innovations(problem, engine, given, np.asarray(v.phi, float), gain, np.zeros(0))
     problem = problem._replace(whiten=whitening(e))
@@ -91,7 +91,7 @@ def test_innovations_by_numpy_are_those_of_the_filter() -> None:
     augmented = Augmented(engine)
     problem = Problem(augmented, measure(augmented, sessions.fitted), cut(sessions.fitted, 0.02), np.diag([2.0, 3.0]))
     v = start(problem)._replace(phi=np.array([0.1, 0.0, -0.2, 0.0], np.float32))
-    gain = np.asarray(gain_matrix(augmented, v), float)[:, :2]
+    gain = np.asarray(gain_matrix(augmented, problem.scales, v), float)[:, :2]
     found = innovations(problem, engine, driven(problem, v), np.asarray(v.phi, float), gain, np.zeros(0))
     np.testing.assert_allclose(found, evaluate(itself(problem), v, ()).e, atol=1e-3)
 

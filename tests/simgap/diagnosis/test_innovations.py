@@ -309,7 +309,7 @@ def test_the_filter_does_not_know_where_the_world_frame_lies(seed: int, angle: f
     rng = np.random.default_rng(seed)
     v = truth({})._replace(gain=rng.uniform(size=12), cross=0.3 * rng.normal(size=len(SPOT.layout.akin)))
     x, e = rng.normal(size=(2, 12))
-    K = gain_matrix(SPOT, v)
+    K = gain_matrix(SPOT, SCALES, v)
     c, s = np.cos(angle), np.sin(angle)
 
     def turned(a: np.ndarray) -> np.ndarray:
@@ -327,7 +327,7 @@ def test_the_filter_does_not_know_where_the_world_frame_lies(seed: int, angle: f
 
 def test_entries_of_the_gain_are_in_units_of_the_time_step() -> None:
     v = truth({})._replace(gain=np.full(12, 0.5), cross=np.ones(len(SPOT.layout.akin)))
-    K = np.asarray(gain_matrix(SPOT, v))
+    K = np.asarray(gain_matrix(SPOT, SCALES, v))
     assert K[3, 0] == pytest.approx(15)  # base_vx by base_x: a metre off is a metre a time step too slow
     assert K[0, 3] == pytest.approx(1 / 15)
     assert K[9, 3] == K[6, 0] == 1  # the hand by the base
