@@ -33,7 +33,7 @@ from tasks.workspace import SPLITS, Cell, Workspace
 
 ROOT = Path(__file__).parents[2]
 TINY: dict[str, Any] = {
-    # So short that a diagnosis finds too little to search: what it says has tests of its own.
+    # Short: what a diagnosis of them says has tests of its own. Yet it is searched, which takes a minute or two.
     "recordings": {"virtual": {"training_sessions": 4, "test_sessions": 1, "session_s": 1.6}},
     "train": {
         "models": ["sim_model", "fsvgd", "sim_fsvgd"],
