@@ -20,7 +20,7 @@ from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.stepping import Given, next_state
-from simgap.engines import Engine
+from simgap.engines import Engine, is_engine
 from simgap.types import Recording, Sessions, StepModel
 
 SLOPE_ROWS = 2
@@ -43,7 +43,7 @@ def _guessed(augmented: Augmented, recording: Recording) -> Recording:
     for position, velocity in zip(layout.position.flat, layout.velocity.flat, strict=True):
         if velocity >= count > position >= 0:
             state[:, velocity] = _slopes(recording.time_s, state[:, position])
-    if layout.apart.any():
+    if layout.apart.any() and not is_engine(augmented.simulator):
         led = np.asarray(_led(augmented, jnp.asarray(state, jnp.float32), jnp.asarray(recording.command, jnp.float32)))
         state[:, layout.apart] = np.where(np.isfinite(led), led, 0.0)[:, layout.apart]
     return recording._replace(state=state)
