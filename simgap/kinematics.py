@@ -46,7 +46,8 @@ def on_body(layout: Layout, b: int, axis: int, value: Float[Array, "..."]) -> Fl
     return placed(size, 4 * b + axis, value).reshape(-1, 4)
 
 
-def _turn(x: _Number, y: _Number, angle: _Number) -> tuple[_Number, _Number]:
+def turn(x: _Number, y: _Number, angle: _Number) -> tuple[_Number, _Number]:
+    """A horizontal vector turned by `angle` [rad]."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     return c * x - s * y, s * x + c * y
 
@@ -74,8 +75,8 @@ def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
     owns, worlds = [], []
     for b, ((x, y, *_), angle) in enumerate(zip(rates, angles, strict=True)):
         in_world = layout.in_world("velocity", b)
-        owns.append(_turn(x, y, -angle) if in_world else (x, y))
-        worlds.append((x, y) if in_world else _turn(x, y, angle))
+        owns.append(turn(x, y, -angle) if in_world else (x, y))
+        worlds.append((x, y) if in_world else turn(x, y, angle))
     velocities, positions = [], []
     for b, carrier in enumerate(layout.carrier):
         own, at = owns[b], (0.0, 0.0)
@@ -83,7 +84,7 @@ def motion(layout: Layout, state: Float[Array, " s"]) -> Motion:
             ahead, across = (places[b][axis] - places[carrier][axis] for axis in (X, Y))
             carried = _rigid([*worlds[carrier], *rates[carrier][Z:]], (ahead, across))
             x, y = (w - v for w, v in zip(worlds[b], carried, strict=True))
-            own, at = _turn(x, y, -angles[b]), _turn(ahead, across, -angles[b])
+            own, at = turn(x, y, -angles[b]), turn(ahead, across, -angles[b])
         velocities += [*own, *rates[b][Z:]]
         positions += [*at, places[b][Z]]
     return Motion(jnp.array(velocities).reshape(-1, 4), jnp.array(positions).reshape(-1, 3), jnp.array(angles))
@@ -111,7 +112,7 @@ def turned(layout: Layout, state: Float[Array, " s"], angle: Float[Array, " b"])
     for b in range(len(layout.bodies)):
         ix, iy = (int(i) for i in layout.velocity[b, :2])
         if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-            x, y = _turn(state[ix], state[iy], angle[b])
+            x, y = turn(state[ix], state[iy], angle[b])
             state = substituted(substituted(state, ix, x), iy, y)
     return state
 
@@ -135,7 +136,7 @@ def _rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s
         for table in (layout.velocity, layout.position):
             ix, iy = (int(i) for i in table[b, [X, Y]])
             if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-                numbers[ix], numbers[iy] = _turn(vector[ix], vector[iy], sign * state[heading])
+                numbers[ix], numbers[iy] = turn(vector[ix], vector[iy], sign * state[heading])
     return jnp.stack(numbers)
 
 
@@ -148,10 +149,10 @@ def _enter(
     """
     has = getattr(layout, what)[b] >= 0
     in_world = has[[X, Y]].any() and layout.in_world(what, b)
-    along = [*_turn(delta[X], delta[Y], heading), *delta[Z:]] if in_world else delta
+    along = [*turn(delta[X], delta[Y], heading), *delta[Z:]] if in_world else delta
     entered = [d if h else 0.0 for d, h in zip(along, has, strict=True)]
     left = [0.0 if h else d for d, h in zip(along, has, strict=True)]
-    return entered, [*_turn(left[X], left[Y], -heading), *left[Z:]] if in_world else left
+    return entered, [*turn(left[X], left[Y], -heading), *left[Z:]] if in_world else left
 
 
 def _filled(size: int, table: np.ndarray, entered: Sequence[Sequence[_Number]]) -> Float[Array, " n"]:
@@ -191,7 +192,7 @@ def push(
 def commanded(layout: Layout, b: int, heading: Float[Array, ""], command: Float[Array, " u"]) -> Float[Array, " 4"]:
     """The commands that drive body `b`, in its own frame; zero along axes without one."""
     x, y, *rest = _take(command, layout.command[b])
-    return jnp.array([*(_turn(x, y, -heading) if layout.in_world("command", b) else (x, y)), *rest])
+    return jnp.array([*(turn(x, y, -heading) if layout.in_world("command", b) else (x, y)), *rest])
 
 
 def wrapped(layout: Layout, difference: Float[Array, "... s"]) -> Float[Array, "... s"]:

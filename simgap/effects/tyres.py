@@ -2,17 +2,18 @@
 `law(c[k, sites], state, then, layout, scales, row) -> then`.
 
 A simulator that lacks this moves along its heading, and turns as its wheels roll. Tyres give a lateral force only by
-slipping, the more the larger it is, and it grows with the speed times the yaw rate [Milliken and Milliken 1995, ch. 5].
+slipping. The force, and the slip with it, grows with speed times yaw rate [Milliken and Milliken 1995, ch. 5].
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from simgap.effects.effect import Constant, Effect, Row, Scales, Site
-from simgap.kinematics import placed, wrapped
+from simgap.kinematics import placed, turn, wrapped
 from simgap.layout import YAW, Layout, X, Y
 
 _S = Float[Array, " s"]
+_N = Float[Array, ""]
 
 
 def wheeled(layout: Layout) -> list[int]:
@@ -32,35 +33,32 @@ def _site(layout: Layout, b: int, axes: list[int]) -> Site:
     return Site(layout.bodies[b], (), names, layout.bodies[b], "m/s")
 
 
+def _moved(layout: Layout, b: int, then: _S, dx: _N, dy: _N) -> _S:
+    """The state with a body displaced in the world."""
+    x, y = layout.position[b, [X, Y]]
+    return then + placed(len(then), x, dx) + placed(len(then), y, dy)
+
+
 def _sideways(c: Float[Array, "1 n"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
     """A lateral velocity of -c v w: the body moves outwards in a bend."""
-    moved = wrapped(layout, then - state)
+    step = wrapped(layout, then - state)
     for k, b in enumerate(wheeled(layout)):
-        x, y, yaw, v = *layout.position[b, [X, Y, YAW]], layout.velocity[b, X]
-        heading = state[yaw] + moved[yaw] / 2
-        outwards = c[0, k] * (state[v] + then[v]) / 2 * moved[yaw]
-        then = (
-            then + placed(len(then), x, outwards * jnp.sin(heading)) - placed(len(then), y, outwards * jnp.cos(heading))
-        )
+        yaw, v = layout.position[b, YAW], layout.velocity[b, X]
+        aside = -c[0, k] * (state[v] + then[v]) / 2 * step[yaw]
+        then = _moved(layout, b, then, *turn(jnp.zeros(()), aside, state[yaw] + step[yaw] / 2))
     return then
 
 
 def _less_turning(c: Float[Array, "1 n"], state: _S, then: _S, layout: Layout, scales: Scales, row: Row) -> _S:
     """w / (1 + c v^2): the yaw rate of a car that understeers. Its path bends less as well."""
-    moved = wrapped(layout, then - state)
+    step = wrapped(layout, then - state)
     for k, b in enumerate(wheeled(layout)):
         x, y, yaw, v = *layout.position[b, [X, Y, YAW]], layout.velocity[b, X]
         square = c[0, k] * ((state[v] + then[v]) / 2) ** 2
-        lost = -moved[yaw] * square / (1 + square)
+        lost = -step[yaw] * square / (1 + square)
         # The chord of an arc turns by half as much as the body.
-        sine, cosine = jnp.sin(lost / 2), jnp.cos(lost / 2)
-        dx, dy = moved[x], moved[y]
-        then = then + placed(len(then), yaw, lost)
-        then = (
-            then
-            + placed(len(then), x, cosine * dx - sine * dy - dx)
-            + placed(len(then), y, sine * dx + cosine * dy - dy)
-        )
+        dx, dy = turn(step[x], step[y], lost / 2)
+        then = _moved(layout, b, then + placed(len(then), yaw, lost), dx - step[x], dy - step[y])
     return then
 
 
@@ -85,7 +83,8 @@ EFFECTS = (
     ),
     Effect(
         "tyre_slip", "after", (Constant("understeer", "s^2/m^2", low=0.0),), _sites([X, Y, YAW]), _understeers,
-        _less_turning, "tyre slip: fast bends are wider, the yaw rate is over 1 + {understeer} times the squared speed",
+        _less_turning,
+        "tyre slip: fast bends are wider, the yaw rate is divided by 1 + {understeer} times the squared speed",
         form="turning", bends=("speed",),
     ),
 )  # fmt: skip

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array, Float
+from stated import check_named_alone, check_nothing_found, stated
 
 from examples.car import CAR
 from examples.drive import DRIVE
 from examples.machines import BALL
-from simgap.diagnosis.diagnose import diagnose
 from simgap.effects import CATALOGUE, restoring, stops
 from simgap.effects.augmented import Augmented
 from simgap.layout import Layout
 from simgap.simulators.spot import Spot
-from simgap.types import Field, Parameter, Recording, Schema, Sessions
+from simgap.types import Field, Parameter, Recording, Schema
 
 IDS = {"nonlinear_spring", "joint_gravity", "output_limit"}
 ROWS, FINER, NOISE = 200, 50, 1e-3
@@ -78,21 +78,12 @@ PLANTED = {
 
 @pytest.mark.parametrize("key", PLANTED)
 def test_what_is_planted_is_named_with_its_constants(key: str) -> None:
-    rng, (of, constants) = np.random.default_rng(0), PLANTED[key]
-    recordings = [session(rng, **of) for _ in range(4)]
-    statement = diagnose(JOINT, "joint", Sessions(recordings[:3], recordings[3:])).statement
-    (named,) = statement["effects"]
-    assert f"{named['id']}.{named['form']}".rstrip(".") == key
-    for c in named["constants"]:
-        assert c["value"] == pytest.approx(constants[c["name"]], rel=0.05), c
+    of, constants = PLANTED[key]
+    check_named_alone(stated(JOINT, session, 0, **of), key, constants)
 
 
 def test_where_nothing_is_planted_nothing_is_found() -> None:
-    rng = np.random.default_rng(1)
-    recordings = [session(rng) for _ in range(4)]
-    statement = diagnose(JOINT, "joint", Sessions(recordings[:3], recordings[3:])).statement
-    assert statement["found"] == []
-    assert statement["verdict"] in ("nothing", "parameters_only", "inconclusive")
+    check_nothing_found(stated(JOINT, session, 1))
 
 
 def test_bodies_that_wander_have_neither_springs_nor_stops() -> None:

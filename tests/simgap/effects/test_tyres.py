@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from stated import check_named_alone, check_nothing_found, stated
 
 from examples.car import CAR
-from simgap.diagnosis.diagnose import diagnose
 from simgap.effects import tyres
 from simgap.effects.augmented import Augmented
 from simgap.layout import Layout
 from simgap.simulators.spot import Spot
-from simgap.types import Recording, Sessions
+from simgap.types import Recording
 
 ROWS, FINER, NOISE = 200, 50, 2e-3
 WHEELBASE, TAU = 0.32, 0.3
@@ -34,29 +34,16 @@ def session(rng: np.random.Generator, slip: float = 0.0, understeer: float = 0.0
     return Recording(f"session_{rng.integers(10**6)}", t, state, np.stack([speed, steering], 1))
 
 
-PLANTED = {
-    "tyre_slip.sideways": ({"slip": 0.15}, {"slip": 0.15}),
-    "tyre_slip.turning": ({"understeer": 0.2}, {"understeer": 0.2}),
-}
+PLANTED = {"tyre_slip.sideways": {"slip": 0.15}, "tyre_slip.turning": {"understeer": 0.2}}
 
 
 @pytest.mark.parametrize("key", PLANTED)
 def test_what_is_planted_is_named_with_its_constants(key: str) -> None:
-    rng, (of, constants) = np.random.default_rng(0), PLANTED[key]
-    recordings = [session(rng, **of) for _ in range(4)]
-    statement = diagnose(CAR, "car", Sessions(recordings[:3], recordings[3:])).statement
-    (named,) = statement["effects"]
-    assert f"{named['id']}.{named['form']}" == key
-    for c in named["constants"]:
-        assert c["value"] == pytest.approx(constants[c["name"]], rel=0.05), c
+    check_named_alone(stated(CAR, session, 0, **PLANTED[key]), key, PLANTED[key])
 
 
 def test_where_nothing_is_planted_nothing_is_found() -> None:
-    rng = np.random.default_rng(1)
-    recordings = [session(rng) for _ in range(4)]
-    statement = diagnose(CAR, "car", Sessions(recordings[:3], recordings[3:])).statement
-    assert statement["found"] == []
-    assert statement["verdict"] in ("nothing", "parameters_only", "inconclusive")
+    check_nothing_found(stated(CAR, session, 1))
 
 
 def test_what_walks_sideways_has_no_tyres() -> None:
