@@ -13,7 +13,7 @@ from simgap.kinematics import placed, turn, wrapped
 from simgap.layout import YAW, Layout, X, Y
 
 _S = Float[Array, " s"]
-_N = Float[Array, ""]
+_Number = Float[Array, ""] | float
 
 
 def wheeled(layout: Layout) -> list[int]:
@@ -33,7 +33,7 @@ def _site(layout: Layout, b: int, axes: list[int]) -> Site:
     return Site(layout.bodies[b], (), names, layout.bodies[b], "m/s")
 
 
-def _moved(layout: Layout, b: int, then: _S, dx: _N, dy: _N) -> _S:
+def _moved(layout: Layout, b: int, then: _S, dx: _Number, dy: _Number) -> _S:
     """The state with a body displaced in the world."""
     x, y = layout.position[b, [X, Y]]
     return then + placed(len(then), x, dx) + placed(len(then), y, dy)
