@@ -1,6 +1,6 @@
 """What an effect of the catalogue is: a law that a simulator may lack, without effect where its constants are zero.
 
-A law acts at one of seven places of a simulated step (see `step.advance`). An augmented simulator applies all laws of
+A law acts at one of eight places of a simulated step (see `step.advance`). An augmented simulator applies all laws of
 the catalogue at all their sites, each with its constants; with all constants zero it is the bare simulator. Internal
 constants are chosen so that this holds: a limit, for example, is stored as its reciprocal.
 """
@@ -16,7 +16,7 @@ from simgap.engines import Table
 from simgap.kinematics import Motion
 from simgap.layout import Layout
 
-Place = Literal["command", "filter", "before", "engine", "push", "after", "sensing"]
+Place = Literal["command", "filter", "before", "engine", "push", "hysteresis", "after", "sensing"]
 Bend = Literal["past", "command", "speed", "place"]
 """How a law's true form may differ from its form in the catalogue: in its memory, or in how it depends on the command,
 the speed or the position where it acts."""
@@ -24,7 +24,7 @@ _BENDS: dict[str, tuple[Bend, ...]] = {
     "command": ("command",),
     "filter": ("past",),
     "before": ("past",), "after": ("past",), "sensing": ("past", "place"),
-    "push": ("speed",),
+    "push": ("speed",), "hysteresis": ("speed",),
     "engine": ("past", "speed", "place"),
 }  # fmt: skip
 HISTORY_ROWS = 8
@@ -36,14 +36,26 @@ SENSED_ROWS = 4
 class Memory(NamedTuple):
     """What an augmented simulator remembers apart from the state.
 
-    commands[k]: sent k + 1 rows ago. filters: the memory of every law of place "filter", by key. states[k]: the state
-    k + 1 rows ago. fading: how fast the early part of a row is forgotten, per command (`command_filters.fading_of`).
+    commands[k]: sent k + 1 rows ago. filters, bent: the memory of every law of place "filter" or "hysteresis", by key.
+    states[k]: the state k + 1 rows ago. fading: how fast the early part of a row is forgotten, per command
+    (`command_filters.fading_of`).
     """
 
     commands: Float[Array, "h u"]
     filters: dict[str, Float[Array, " u"]]
+    bent: dict[str, Float[Array, "b 4"]]
     states: Float[Array, "r s"]
     fading: Float[Array, " u"]
+
+
+class Earlier(NamedTuple):
+    """What is known of the rows before a start: commands[k] was sent k + 1 rows ago. turns: values at which each
+    command turned before these, the latest first; None: it never turned. states: where each state was a row ago and
+    turned before that, the latest first; None: it stood still."""
+
+    commands: Float[Array, "n u"]
+    turns: Float[Array, "m u"] | None = None
+    states: Float[Array, "w s"] | None = None
 
 
 class Row(NamedTuple):
@@ -64,9 +76,10 @@ class Scales(NamedTuple):
     as it changes. reach: quantiles 0, 5, .. 100 % of the horizontal distance from the carrier, of the bodies
     `reaching` [n, 21]. height: the same of z, of the bodies `floored` [n, 21]. interval: time [s] over which each
     position integrates its velocity. output: 95th percentile of |output - median|. duration: of the longest session
-    [s]. time_step [s]. travel, hold [n]: 95th percentile of |position|, and axis_command, of the bodies that keep their
-    place (`restoring.staying`). furthest [n]: greatest size of the states that may stop (`stops.limited`). measured:
-    number of the measured ones of these. Only speed, reach, height, interval and measured can be zero.
+    [s]. time_step [s]. travel, pace, hold [n]: 95th percentile of |position|, axis_speed and axis_command of the bodies
+    that keep their place (`restoring.staying`). furthest [n]: greatest size of the states that may stop
+    (`stops.limited`). measured: number of the measured ones of these. Only speed, reach, height, interval and measured
+    can be zero.
     """
 
     command: np.ndarray
@@ -81,6 +94,7 @@ class Scales(NamedTuple):
     duration: float
     time_step: float
     travel: np.ndarray = np.zeros(0)
+    pace: np.ndarray = np.zeros(0)
     hold: np.ndarray = np.zeros(0)
     furthest: np.ndarray = np.zeros(0)
     measured: float = 0.0
@@ -106,7 +120,8 @@ class Constant:
     `physical(c, index of the site, scales)`. `low`, `high`: bounds of the internal value. `shapes`: it shapes how the
     other constants act (such as an onset) and does nothing by itself. reciprocal: the internal value is one over a
     limit; the smaller it is, the wider the limit. credible(index of the site, scales): size of the internal value
-    beyond which the estimate is not physically plausible.
+    beyond which the estimate is not physically plausible. least(index of the site, scales): size below which the law is
+    the one that it extends.
     """
 
     name: str
@@ -117,6 +132,7 @@ class Constant:
     shapes: bool = False
     reciprocal: bool = False
     credible: Callable[[int, Scales], float] = lambda site, scales: np.inf
+    least: Callable[[int, Scales], float] = lambda site, scales: 0.0
 
 
 def reciprocal(c: float, *_: object) -> float:
@@ -135,7 +151,8 @@ class Effect:
     turned, not on how long ago. jagged: the likelihood has many local maxima along the constant. basins: it has a few;
     the simulator's parameters lead to one with too small a constant, so fits start from all of `starts`. event: it
     acts in a window of one session. coarse: it concerns steps as long as a row, which an engine divides into many.
-    bends: see `Bend`; by default those of its place.
+    extends: id of a simpler law that it is as well, or nearly, with some of its constants. bends: see `Bend`; by
+    default those of its place.
     """
 
     id: str
@@ -152,6 +169,7 @@ class Effect:
     event: bool = False
     coarse: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
+    extends: str = ""
     bends: tuple[Bend, ...] = ()
 
     def __post_init__(self) -> None:

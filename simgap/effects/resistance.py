@@ -1,4 +1,7 @@
-"""Resistances: pushes against a body's own motion. `law(c[k, sites], step) -> push[b, 4]`, in the command's unit."""
+"""Resistances that grow with the speed: pushes against a body's own motion, in the command's unit.
+
+`law(c[k, sites], step) -> push[b, 4]`.
+"""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -7,18 +10,6 @@ from simgap.effects.effect import Constant, Effect, Scales, Step
 from simgap.effects.sites import axis_sites, body_sites, on_axes, turning
 from simgap.kinematics import on_body
 from simgap.layout import YAW, X, Y
-
-
-def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """-c sign(v'), or the push that stops the motion within the step where c suffices for that: the body sticks.
-
-    v' is the motion that the body's own drive causes. Otherwise, where a simulator's velocity memory includes the
-    carrier's motion, an arm at rest on a walking base would slide in its joints.
-    """
-    response = step.response()
-    stops = step.own().velocity / jnp.where(response != 0, response, jnp.inf)
-    most = on_axes(step.layout, c[0])
-    return -jnp.clip(stops, -most, most)
 
 
 def _viscous(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
@@ -67,17 +58,7 @@ def _small(fraction: float, power: int):
     return starts
 
 
-def _usual_command(site: int, scales: Scales) -> float:
-    """With a greater loss, hardly any command would move the axis."""
-    return float(scales.axis_command[site])
-
-
 EFFECTS = (
-    Effect(
-        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0, credible=_usual_command),), axis_sites,
-        _small(0.1, 0), _coulomb, "dry friction: a constant resistance of {loss} works against the motion",
-        tie="same_unit",
-    ),
     Effect(
         "viscous_drag", "push", (Constant("coefficient", "-", low=0.0),), axis_sites, _small(0.1, 1), _viscous,
         "viscous drag: a resistance of {coefficient} times the speed works against the motion", tie="any",

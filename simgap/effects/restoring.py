@@ -4,7 +4,6 @@ Such a body has one axis only, along which its position is known. `law(c[k, site
 """
 
 import math
-from collections.abc import Callable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,8 +12,6 @@ from simgap.effects.effect import Constant, Effect, Scales, Site, Step
 from simgap.effects.sites import axis_indices, axis_sites, on_axes
 from simgap.kinematics import wrapped
 from simgap.layout import Layout
-
-Axes = Callable[[Layout], list[tuple[int, int]]]
 
 
 def staying(layout: Layout) -> list[tuple[int, int]]:
@@ -33,18 +30,24 @@ def _turning(layout: Layout) -> list[tuple[int, int]]:
     return [(b, a) for b, a in staying(layout) if layout.schema.state[layout.position[b, a]].unit == "rad"]
 
 
-def _sites(axes: Axes) -> Callable[[Layout], tuple[Site, ...]]:
-    def sites(layout: Layout) -> tuple[Site, ...]:
-        return tuple(
-            site._replace(length=layout.schema.state[layout.position[b, a]].unit)
-            for site, (b, a) in zip(axis_sites(layout), axis_indices(layout), strict=True)
-            if (b, a) in axes(layout)
-        )
-
-    return sites
+def staying_sites(layout: Layout) -> tuple[Site, ...]:
+    """Sites at those of `staying`."""
+    return _sites_at(layout, staying(layout))
 
 
-def _halfway(step: Step) -> Float[Array, "b 4"]:
+def _turning_sites(layout: Layout) -> tuple[Site, ...]:
+    return _sites_at(layout, _turning(layout))
+
+
+def _sites_at(layout: Layout, axes: list[tuple[int, int]]) -> tuple[Site, ...]:
+    return tuple(
+        site._replace(length=layout.schema.state[layout.position[b, a]].unit)
+        for site, (b, a) in zip(axis_sites(layout), axis_indices(layout), strict=True)
+        if (b, a) in axes
+    )
+
+
+def halfway(step: Step) -> Float[Array, "b 4"]:
     """Positions in the middle of the step: a push is constant over the row, in which a stiff spring may turn round."""
     now, then = step.states
     state = now + wrapped(step.layout, then - now) / 2
@@ -55,14 +58,14 @@ def _halfway(step: Step) -> Float[Array, "b 4"]:
 def _spring(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
     """-c_0 x - c_1 x^3."""
     linear, cubic = (on_axes(step.layout, values, staying(step.layout)) for values in c)
-    x = _halfway(step)
+    x = halfway(step)
     return -linear * x - cubic * x**3
 
 
 def _weight(c: Float[Array, "2 n"], step: Step) -> Float[Array, "b 4"]:
     """-c_0 sin(q - c_1)."""
     moment, hanging = (on_axes(step.layout, values, _turning(step.layout)) for values in c)
-    return -moment * jnp.sin(_halfway(step) - hanging)
+    return -moment * jnp.sin(halfway(step) - hanging)
 
 
 def _springs(scales: Scales, site: int) -> list[list[float]]:
@@ -79,13 +82,13 @@ def _weights(scales: Scales, site: int) -> list[list[float]]:
 EFFECTS = (
     Effect(
         "nonlinear_spring", "push", (Constant("stiffness", "{u}/{x}"), Constant("cubic", "{u}/{x}^3")),
-        _sites(staying), _springs, _spring,
+        staying_sites, _springs, _spring,
         "a spring pulls back by {stiffness} times the displacement, and {cubic} times its cube",
         tie="same_unit", bends=("place",),
     ),
     Effect(
         "joint_gravity", "push", (Constant("moment", "{u}", low=0.0), Constant("hanging", "rad", shapes=True)),
-        _sites(_turning), _weights, _weight,
+        _turning_sites, _weights, _weight,
         "a weight turns the joint: a moment of up to {moment} towards {hanging}, where it hangs",
         bends=("place",),
     ),

@@ -8,12 +8,12 @@ from jaxtyping import Array, Bool, Float
 
 from simgap.effects.augmented import Active, Augmented, Law, Theta, where
 from simgap.effects.command_filters import NEVER, fading_of
-from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Memory, Row, Scales, Step
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Earlier, Memory, Row, Scales, Step
 from simgap.effects.sensing import padded
 from simgap.effects.sites import usual_push
 from simgap.effects.stepping import Given, next_state, parts_of, pushed_state, terms_of
 from simgap.engines import is_engine
-from simgap.kinematics import Motion, carried_velocity, motion, substituted
+from simgap.kinematics import Motion, carried_velocity, motion, substituted, wrapped
 
 
 def remember(
@@ -21,20 +21,21 @@ def remember(
     phi: Float[Array, " p"],
     theta: Theta,
     state: Float[Array, " s"],
-    past: Float[Array, "n u"],
+    earlier: Earlier,
     time_s: Float[Array, ""],
-    turns: Float[Array, "m u"] | None = None,
     active: Active = None,
 ) -> Memory:
-    """Memory at a start. `past[k]` was sent k + 1 rows ago, n > HISTORY_ROWS; past states are taken to equal `state`.
+    """Memory at a start, from more than HISTORY_ROWS earlier commands; sensors are taken to have seen `state` alone.
 
-    Play and lags remember long, so the command path first runs over all past commands. `turns`: values at which each
-    command turned before these, the latest first, for filters that outlast a rest; None: it never turned.
+    Play and lags remember long, so the command path first runs over all earlier commands, for filters that outlast a
+    rest over what each turned at before these as well. Hysteresis runs over the earlier states.
     """
+    past, turns, _ = earlier
     filters = augmented.laws(theta, active, "filter")
     sent = past[::-1]
     first = sent[HISTORY_ROWS - 1 :: -1]
     states = jnp.tile(state, (SENSED_ROWS, 1))
+    bent = _bent(augmented, augmented.laws(theta, active, "hysteresis"), state, earlier.states)
     row = Row(time_s, jnp.ones(()))
     on_the_way = augmented.laws(theta, active, "command", "filter")
     if on_the_way and not is_engine(augmented.simulator):
@@ -52,7 +53,7 @@ def remember(
         return jax.lax.scan(step, memory, turned)[0]
 
     def settled() -> dict[str, Float[Array, " u"]]:
-        memory = Memory(first, {law.effect.key: first[0] for law in filters}, states, forgets)
+        memory = Memory(first, {law.effect.key: first[0] for law in filters}, bent, states, forgets)
         if turns is not None:
             began = memory._replace(filters=dict.fromkeys(memory.filters, turns[-1]))
             outlasted = held(began, turns[::-1]).filters
@@ -62,7 +63,22 @@ def remember(
 
     nil = {law.effect.key: past[0] for law in filters}
     filter_states = where(_any(filters), settled, nil) if filters else {}
-    return Memory(past[:HISTORY_ROWS], filter_states, states, forgets)
+    return Memory(past[:HISTORY_ROWS], filter_states, bent, states, forgets)
+
+
+def _bent(
+    augmented: Augmented, laws: Sequence[Law], state: Float[Array, " s"], earlier: Float[Array, "w s"] | None
+) -> dict[str, Float[Array, "b 4"]]:
+    """Memories of laws of hysteresis after the ways between the earlier states and to `state`."""
+    unbent = jnp.zeros((len(augmented.layout.bodies), 4))
+    if earlier is None:
+        return {law.effect.key: unbent for law in laws}
+    ways = wrapped(augmented.layout, jnp.diff(jnp.concatenate([earlier[::-1], state[None]]), axis=0))
+
+    def after(law: Law) -> Float[Array, "b 4"]:
+        return jax.lax.scan(lambda z, way: (law.effect.law(law.c, z, way, augmented.layout)[0], None), unbent, ways)[0]
+
+    return {law.effect.key: where(law.on, lambda law=law: after(law), unbent) for law in laws}
 
 
 def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
@@ -122,8 +138,8 @@ def advance(
     """The next state and memory.
 
     In order: the command path (`follow`); which velocity is remembered ("before"); the simulator's own step, with the
-    terms of an engine ("engine"); the pushes, from the motion before and after that step ("push"), and the step again
-    with them; how positions advance and what stops them ("after").
+    terms of an engine ("engine"); the pushes, from the motion before and after that step ("push", "hysteresis"), and
+    the step again with them; how positions advance and what stops them ("after").
     """
     layout = augmented.layout
     memory, u = follow(augmented, theta, memory, command, row, active)
@@ -133,9 +149,9 @@ def advance(
 
     given = Given(phi, u, row.table, terms_of(augmented, theta, active))
     then = next_state(augmented, start, given)
-    laws = augmented.laws(theta, active, "push")
+    laws, lasting = (augmented.laws(theta, active, place) for place in ("push", "hysteresis"))
 
-    def pushed() -> Float[Array, " s"]:
+    def pushed() -> tuple[dict[str, Float[Array, "b 4"]], Float[Array, " s"]]:
         now, expected = motion(layout, state), motion(layout, then)
         nil = jnp.zeros_like(now.velocity)
 
@@ -157,11 +173,20 @@ def advance(
 
         sent = u if u.ndim == 1 else u.mean(0)
         step = Step(now, expected, (state, then), response, own, sent, layout, scales, row)
-        moved, rates = with_push(sum((law(nil, step) for law in laws), nil))
-        return moved + augmented.simulator.time_step * rates
 
-    if laws:
-        then = where(_any(laws), pushed, then)
+        def bend(law: Law, after: Float[Array, " s"]) -> tuple[Float[Array, "b 4"], Float[Array, "b 4"]]:
+            bent = memory.bent[law.effect.key]
+            return law((bent, nil), bent, wrapped(layout, after - state), layout)
+
+        delta = sum((law(nil, step) for law in laws), nil) + sum((bend(law, then)[1] for law in lasting), nil)
+        moved, rates = with_push(delta)
+        after = moved + augmented.simulator.time_step * rates
+        # By the predicted way: that between corrected states would be longer by their noise.
+        return {law.effect.key: bend(law, after)[0] for law in lasting}, after
+
+    if laws or lasting:
+        bent, then = where(_any([*laws, *lasting]), pushed, (memory.bent, then))
+        memory = memory._replace(bent=bent)
     for law in augmented.laws(theta, active, "after"):
         then = law(then, state, then, layout, scales, row)
     return memory._replace(states=jnp.concatenate([state[None], memory.states[:-1]])), then

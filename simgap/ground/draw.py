@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.ground.families import EQUIVALENT, FAMILIES, OUTSIDE, WITHIN
+from simgap.ground.families import FAMILIES, names_of
 from simgap.ground.laws import Law, Uneven
 from simgap.ground.machines import MACHINES, Machine
 from simgap.types import Recording, Sessions
@@ -57,7 +57,7 @@ class Case(NamedTuple):
     @property
     def causes(self) -> list[frozenset[str]]:
         """For each law, the effects that name it rightly."""
-        return [FAMILIES[f].names | EQUIVALENT.get((self.machine.name, f), frozenset()) for f in self.families]
+        return [names_of(f, self.machine.name) for f in self.families]
 
 
 def draw(number: int) -> Case:
@@ -65,7 +65,7 @@ def draw(number: int) -> Case:
     rng = np.random.default_rng([20261128, number])
     machine = MACHINES[rng.integers(len(MACHINES))]
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-    families = _families(kind, rng)
+    families = _families(kind, machine, rng)
     sizes = np.exp(rng.uniform(np.log(SIZES[0]), np.log(SIZES[1]), len(families)))
     params = _parameters(machine, rng)
     rate = _rate(machine, params)
@@ -96,16 +96,18 @@ def draw(number: int) -> Case:
     return Case(number, machine, kind, families, tails, sessions, strength)
 
 
-def _families(kind: str, rng: np.random.Generator) -> tuple[str, ...]:
+def _families(kind: str, machine: Machine, rng: np.random.Generator) -> tuple[str, ...]:
+    within = [f for f in FAMILIES if names_of(f, machine.name)]
+    outside = [f for f in FAMILIES if f not in within]
     if kind == "nothing":
         return ()
     if kind == "two":
-        return tuple(map(str, rng.choice(WITHIN, 2, replace=False)))
+        return tuple(map(str, rng.choice(within, 2, replace=False)))
     if kind == "mixed":
-        return (str(rng.choice(WITHIN)), str(rng.choice(OUTSIDE)))
+        return (str(rng.choice(within)), str(rng.choice(outside)))
     if kind == "many":
         return tuple(map(str, rng.choice(list(FAMILIES), rng.integers(MANY[0], MANY[1] + 1), replace=False)))
-    return (str(rng.choice(WITHIN if kind == "within" else OUTSIDE)),)
+    return (str(rng.choice(within if kind == "within" else outside)),)
 
 
 def _law(machine: Machine, family: str, size: float, rate: float, rng: np.random.Generator) -> Law:

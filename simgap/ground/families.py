@@ -26,6 +26,18 @@ def _friction(rng: np.random.Generator, size: float, row: float, rate: float) ->
     return Push(lambda q, v, u: -force * np.tanh(v / soft) * (1 + bump * np.exp(-np.abs(v) / fades)))  # noqa: ARG005
 
 
+def _stribeck(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    """The same, with a bump as high as the rest, or up to twice as high."""
+    soft, bump, fades, power = rng.uniform(0.005, 0.03), rng.uniform(1, 2), rng.uniform(0.1, 0.5), rng.uniform(0.8, 2)
+    force = size * rate
+    return Push(lambda q, v, u: -force * np.tanh(v / soft) * (1 + bump * np.exp(-(np.abs(v / fades) ** power))))  # noqa: ARG005
+
+
+def _under_load(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    soft, power, ratio = rng.uniform(0.005, 0.05), rng.uniform(0.8, 1.2), size * rate
+    return Push(lambda q, v, u: -ratio * np.tanh(v / soft) * np.abs(u[: len(v)]) ** power)  # noqa: ARG005
+
+
 def _drag(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     power, force = rng.uniform(1.6, 2.4), size * rate
     return Push(lambda q, v, u: -force * np.sign(v) * np.abs(v) ** power)  # noqa: ARG005
@@ -125,6 +137,8 @@ def _named(*names: str) -> frozenset[str]:
 
 FAMILIES: dict[str, Family] = {
     "friction": Family(_named("coulomb_friction"), _friction),
+    "stribeck": Family(_named(), _stribeck),
+    "under_load": Family(_named(), _under_load),
     "drag": Family(_named("quadratic_drag"), _drag),
     "bias": Family(_named("body_frame_bias"), _bias),
     "delay": Family(_named("delay"), _delay),
@@ -152,8 +166,14 @@ STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair")
 EQUIVALENT = {
     **{(machine, "bias"): _named("sensor_bias") for machine in HELD},
     **{(machine, "hardening"): _named("nonlinear_spring") for machine in STAYING},
+    **{(machine, "bristles"): _named("hysteresis") for machine in STAYING},
+    **{(machine, family): _named("stribeck_friction") for machine in STAYING for family in ("friction", "stribeck")},
+    **{(machine, "under_load"): _named("load_friction") for machine in STAYING if machine not in HELD},
 }
 """On a machine, further names for a family. A steady push on a servo is an offset of the position that it is held to. A
-spring has a name where a body keeps its place."""
-WITHIN = tuple(name for name, family in FAMILIES.items() if family.names)
-OUTSIDE = tuple(name for name, family in FAMILIES.items() if not family.names)
+spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command."""
+
+
+def names_of(family: str, machine: str) -> frozenset[str]:
+    """The effects that name a family rightly on a machine."""
+    return FAMILIES[family].names | EQUIVALENT.get((machine, family), frozenset())

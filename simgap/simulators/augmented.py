@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Augmented
-from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Place, Row, Scales
+from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Earlier, Place, Row, Scales
 from simgap.effects.regime import Acting, Regime, holds
 from simgap.effects.step import advance, remember, sense, unsense
 from simgap.recordings import HISTORY
@@ -121,7 +121,7 @@ class AugmentedSimulator:
         past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])
         row = Row(jnp.asarray(self.scales.duration / 2), jnp.ones(()))
         start = unsense(augmented, theta, state, row.time_s)
-        memory = remember(augmented, params, theta, start, past, row.time_s)
+        memory = remember(augmented, params, theta, start, Earlier(past), row.time_s)
         memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
         at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
         return sense(augmented, theta, at_rest, then, row)

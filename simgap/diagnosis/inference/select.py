@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simgap.diagnosis.config import LEVEL, MOST_EFFECTS, MOST_SITES, NEAR
+from simgap.diagnosis.config import LEAST_SHARE, LEVEL, MOST_EFFECTS, MOST_SITES, NEAR
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, optimise, refine
 from simgap.diagnosis.inference.model import (
@@ -84,6 +84,7 @@ def one_more(
     p_values = [screening.p_value_of_fit(t.hypothesis.name, t.beyond) for t in judged]
     if screening.p_value > LEVEL:  # then a fit has to pass by itself
         judged = [t for t, p_value in zip(judged, p_values, strict=True) if p_value <= LEVEL]
+    judged = [t for t in judged if not _extends_in_vain(problem, t, [*incumbent, *judged])]
     tried = sorted([*incumbent, *judged], key=lambda t: -t.gain)
     report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats" if tried else
         "fitted, they gain no more than noise alone")  # fmt: skip
@@ -98,6 +99,17 @@ def _at_once(ordered: Sequence) -> list[Sequence]:
 def _contends(t: Trial, best: float) -> bool:
     """Whether a hypothesis may gain as much as the best. One with basins needs less: it may still be in a poor one."""
     return t.promise >= (HOPELESS if t.hypothesis.effect.basins else CONTENDER) * best
+
+
+def _extends_in_vain(problem: Problem, t: Trial, tried: Sequence[Trial]) -> bool:
+    """Whether the fit is that of a simpler law, which this one extends; or that gains as much, but for what further
+    constants gain by chance and what may only reflect misfit."""
+    constants, site = zip(t.hypothesis.effect.constants, t.hypothesis.groups, strict=True), t.hypothesis.sites[0]
+    if any(abs(value_of(t.fit.v, group)) < c.least(site, problem.scales) for c, group in constants):
+        return True
+    simpler = [o for o in tried if o.hypothesis.effect.id == t.hypothesis.effect.extends]
+    margin = lambda o: 0.5 * (len(t.hypothesis.groups) - len(o.hypothesis.groups)) * np.log(len(t.fit.e))  # noqa: E731
+    return any(t.gain < (o.gain + margin(o)) / (1 - LEAST_SHARE) for o in simpler)
 
 
 def _to_its_end(problem: Problem, t: Trial) -> Trial:

@@ -92,7 +92,7 @@ def _filter_segment(
     K, phi = gain_matrix(augmented, scales, v), jnp.asarray(v.phi)
     at_start = acting(v, v.theta, chunk.gate[:, 0])
     first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
-    memory = remember(augmented, phi, at_start, first, chunk.past, chunk.time_s[0], chunk.turns, active)
+    memory = remember(augmented, phi, at_start, first, chunk.earlier, chunk.time_s[0], active)
 
     def row(carry, now):
         memory, x = carry
@@ -151,7 +151,7 @@ def sent_of(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[Array, 
     def one(chunk: Chunks) -> Float[Array, "T-1 parts u"]:
         at_start = acting(v, v.theta, chunk.gate[:, 0])
         memory = remember(
-            augmented, jnp.asarray(v.phi), at_start, chunk.state[0], chunk.past, chunk.time_s[0], chunk.turns, active
+            augmented, jnp.asarray(v.phi), at_start, chunk.state[0], chunk.earlier, chunk.time_s[0], active
         )
 
         def row(memory: Memory, now: tuple) -> tuple[Memory, Float[Array, "parts u"]]:

@@ -36,12 +36,16 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
     velocity, position, _ = by_row(motion, layout, states)
     b, a = np.array(axis_indices(layout), int).reshape(-1, 2).T
     held, places = staying(layout), list(zip(b.tolist(), a.tolist(), strict=True))
-    axis_command = _axis_commands(augmented, recordings, commands, velocity)
+    axis_command, axis_speed = (
+        _axis_commands(augmented, recordings, commands, velocity),
+        _typical_size(velocity[:, b, a]),
+    )
+    of_held = [places.index(place) for place in held]
     return Scales(
         command=_typical_size(commands),
         command_step=np.array([_typical_size(c[c > STEPS * c.max(initial=0.0), None])[0] for c in changes.T]),
         speed=np.quantile(np.abs(velocity), 0.95, axis=0),
-        axis_speed=_typical_size(velocity[:, b, a]),
+        axis_speed=axis_speed,
         axis_command=axis_command,
         reach=np.quantile(np.linalg.norm(position[:, reaching(layout), :2], axis=-1), QUANTILES, axis=0).T,
         height=np.quantile(position[:, floored(layout), 2], QUANTILES, axis=0).T,
@@ -50,7 +54,8 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
         duration=float(max(r.time_s[-1] - r.time_s[0] for r in recordings)),
         time_step=float(augmented.simulator.time_step),
         travel=_typical_size(states[:, [layout.position[place] for place in held]]),
-        hold=axis_command[[places.index(place) for place in held]],
+        pace=axis_speed[of_held],
+        hold=axis_command[of_held],
         furthest=np.abs(states[:, limited(layout)]).max(0),
         measured=float(len(stopping(layout))),
     )

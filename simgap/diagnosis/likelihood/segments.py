@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from simgap.effects.effect import HISTORY_ROWS
+from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
+from simgap.effects.effect import HISTORY_ROWS, Earlier
 from simgap.engines import Engine, Table, is_engine
 from simgap.types import Recording, StepModel
 
@@ -22,6 +23,10 @@ FIRST = 2
 """Steps at the start of a session that are run-in as well: the estimate starts at a measured state."""
 WARM = 30
 """Rows of past commands that run through the command path before a segment, so that lags start in the right state."""
+SHAKES = 5.0
+"""Standard deviations of the noise within which a state counts as still: noise alone goes a long way to and fro."""
+FAR, TURNED = 2_000, 32
+"""Rows before a segment in which points are looked for where a state turned, and how many are kept, for hysteresis."""
 TURNS = 12
 """Turning points of each command before those rows, so that play starts in the right state; a real Spot has no more."""
 MOST, MOST_OF_ENGINE = 16_000, 1_600
@@ -35,15 +40,17 @@ Segments are padded to these numbers, so that recording sets of similar size sha
 class Chunks(NamedTuple):
     """Sessions cut into C segments of T = RUN_IN + LENGTH + 1 rows.
 
-    past, turns: see `sent_before`. counts: whether row t + 1 of the segment is scored. gate: 1 where support s is open,
-    else 0. session: index into the recordings. row: index of the segment's first row in its session. table: an
-    engine's steps near an estimate of every row but the last; without it, the simulator itself is run.
+    past, turns: see `sent_before`. came: see `reached`. counts: whether row t + 1 of
+    the segment is scored. gate: 1 where support s is open, else 0. session: index into the recordings. row: index of
+    the segment's first row in its session. table: an engine's steps near an estimate of every row but the last;
+    without it, the simulator itself is run.
     """
 
     state: Float[Array, "C T s"]
     command: Float[Array, "C T u"]
     past: Float[Array, "C h u"]
     turns: Float[Array, "C m u"]
+    came: Float[Array, "C w s"]
     time_s: Float[Array, "C T"]
     interval: Float[Array, "C T"]
     counts: Bool[Array, "C T-1"]
@@ -51,6 +58,11 @@ class Chunks(NamedTuple):
     session: Int[np.ndarray, " C"]
     row: Int[np.ndarray, " C"]
     table: Table | None = None
+
+    @property
+    def earlier(self) -> Earlier:
+        """What is known of the rows before the segments."""
+        return Earlier(self.past, self.turns, self.came)
 
 
 def sent_before(
@@ -60,6 +72,40 @@ def sent_before(
     the last WARM rows; both latest first. Before the session, its first command is taken to have been constant."""
     past = command[np.maximum(row - 1 - np.arange(HISTORY_ROWS + WARM), 0)]
     return past, np.reshape([_turns(u) for u in command[: max(row - WARM, 1)].T], (-1, TURNS)).T
+
+
+class Source(NamedTuple):
+    """A session to cut segments from: its number, its recording, and its states `without_shakes`."""
+
+    session: int
+    recording: Recording
+    moved: Float[np.ndarray, "T s"]
+
+
+def sources_of(recordings: Sequence[Recording]) -> list[Source]:
+    """The sessions, in order."""
+    return [Source(s, r, without_shakes(r.state)) for s, r in enumerate(recordings)]
+
+
+def without_shakes(state: Float[np.ndarray, "T s"]) -> Float[np.ndarray, "T s"]:
+    """The states of a session without what goes to and fro within the noise, by which a way would be far too long."""
+    noise = np.median(np.abs(np.diff(state, 2, axis=0)), axis=0) * NORMAL_MAD / np.sqrt(6) if len(state) > 2 else 0.0
+    moved = np.array(state)
+    for t in range(1, len(state)):
+        moved[t] = np.clip(moved[t - 1], state[t] - SHAKES / 2 * noise, state[t] + SHAKES / 2 * noise)
+    return moved
+
+
+def reached(moved: Float[np.ndarray, "T s"], row: int) -> Float[np.ndarray, "m s"]:
+    """Where each state was before a row and where it turned before that, latest first; the oldest is repeated."""
+    return np.reshape([_reached(x) for x in moved[max(row - FAR, 0) : max(row, 1)].T], (-1, TURNED)).T
+
+
+def _reached(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
+    (changing,) = np.diff(x).nonzero()
+    side = np.sign(x[changing + 1] - x[changing])
+    points = x[[0, *changing[1:][side[1:] != side[:-1]], -1]][::-1][:TURNED]
+    return np.pad(points, (0, TURNED - len(points)), mode="edge")
 
 
 def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
@@ -83,10 +129,11 @@ def cut(recordings: Sequence[Recording], time_step: float, least: int = 0, most:
 
     Unscored segments pad their number, to at least `least`: sets of the same number share compiled code.
     """
+    sources = sources_of(recordings)
     firsts = [(s, first) for s, r in enumerate(recordings) for first in range(0, max(len(r.time_s) - 1, 1), LENGTH)]
     if len(firsts) > most // LENGTH:
         firsts = [firsts[i] for i in np.linspace(0, len(firsts) - 1, most // LENGTH).round().astype(int)]
-    parts = [_segment(s, recordings[s], first, time_step) for s, first in firsts]
+    parts = [_segment(sources[s], first, time_step) for s, first in firsts]
     *arrays, counted, gate, s, start = parts[0]
     padding = (*arrays, np.zeros_like(counted), gate, s, start)
     return as_chunks([*parts, *[padding] * (max(filled(len(parts)), least) - len(parts))])
@@ -97,24 +144,26 @@ def scorable(recordings: Sequence[Recording]) -> int:
     return sum(max(len(r.time_s) - 1 - FIRST, 0) for r in recordings)
 
 
-def _segment(s: int, r: Recording, first: int, time_step: float) -> tuple:
-    """Fields of the segment of session s whose scored rows begin at row `first`."""
-    start = max(first - RUN_IN, 0)
+def _segment(source: Source, first: int, time_step: float) -> tuple:
+    """Fields of the segment of a session whose scored rows begin at row `first`."""
+    start, r = max(first - RUN_IN, 0), source.recording
     successor = np.arange(start + 1, start + RUN_IN + LENGTH + 1)
     counted = (successor > max(first, FIRST)) & (successor <= min(first + LENGTH, len(r.time_s) - 1))
-    return excerpt(s, r, start, counted, time_step)
+    return excerpt(source, start, counted, time_step)
 
 
-def excerpt(s: int, r: Recording, start: int, counted: Bool[np.ndarray, " t"], time_step: float) -> tuple:
-    """Fields of a segment of session s, from row `start` to the one after the last transition in `counted`.
+def excerpt(source: Source, start: int, counted: Bool[np.ndarray, " t"], time_step: float) -> tuple:
+    """Fields of a segment of a session, from row `start` to the one after the last transition in `counted`.
 
     After the last row of a session there is no step; nothing depends on its interval.
     """
+    r = source.recording
     steps, rows = len(r.time_s) - 1, len(counted) + 1
     index = np.minimum(np.arange(start, start + rows), steps)
     time_s, interval = r.time_s[index], (r.time_s[np.minimum(index + 1, steps)] - r.time_s[index]) / time_step
-    return (r.state[index], r.command[index], *sent_before(r.command, start), time_s - r.time_s[0],
-            np.where(index < steps, interval, 1.0), counted, np.ones((1, rows)), s, start)  # fmt: skip
+    return (r.state[index], r.command[index], *sent_before(r.command, start), reached(source.moved, start),
+            time_s - r.time_s[0], np.where(index < steps, interval, 1.0), counted, np.ones((1, rows)), source.session,
+            start)  # fmt: skip
 
 
 def most_rows(simulator: StepModel | Engine) -> int:

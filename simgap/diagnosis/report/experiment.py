@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.likelihood.problem import Fit, Problem
-from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, sent_before
+from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, TURNED, as_chunks, sent_before
 from simgap.diagnosis.report.separation import apart, apart_refitted
 from simgap.diagnosis.validation.forecast import Contestant, Regimes, forecast
 from simgap.kinematics import motion
@@ -103,8 +103,8 @@ def _forecast(
     state, still = _at_rest(recordings), np.zeros((RUN_IN, commands[0].shape[1]))
     parts = [
         (np.repeat(state[None], RUN_IN + rows + 1, 0), np.concatenate([still, u, u[-1:]]),
-         *sent_before(still, 0), np.arange(RUN_IN + rows + 1) * dt, np.ones(RUN_IN + rows + 1),
-         np.ones(RUN_IN + rows, bool), np.ones((len(regimes), RUN_IN + rows + 1)), 0, 0)
+         *sent_before(still, 0), np.repeat(state[None], TURNED, 0), np.arange(RUN_IN + rows + 1) * dt,
+         np.ones(RUN_IN + rows + 1), np.ones(RUN_IN + rows, bool), np.ones((len(regimes), RUN_IN + rows + 1)), 0, 0)
         for u in commands
     ]  # fmt: skip
     return forecast(problem, Contestant(fit.v, regimes=regimes), as_chunks(parts))

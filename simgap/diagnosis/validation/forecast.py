@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, innovation
 from simgap.diagnosis.likelihood.problem import Problem
-from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, excerpt
+from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, excerpt, sources_of
 from simgap.diagnosis.likelihood.traced import advance, remember, sense
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
-from simgap.effects.effect import Memory, Row, Scales
+from simgap.effects.effect import Earlier, Memory, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
 from simgap.effects.step import unsense
 from simgap.types import Recording
@@ -31,13 +31,15 @@ def windows(recordings: Sequence[Recording], time_step: float, horizon: int, str
     """Pieces of RUN_IN + horizon + 1 rows, one every `stride` rows; None if all sessions are too short."""
     always = np.ones(RUN_IN + horizon, bool)
     firsts = [(s, first) for s, r in enumerate(recordings) for first in range(0, len(r.time_s) - len(always), stride)]
-    parts = [excerpt(s, recordings[s], first, always, time_step) for s, first in firsts]
+    sources = sources_of(recordings)
+    parts = [excerpt(sources[s], first, always, time_step) for s, first in firsts]
     return as_chunks(parts) if parts else None
 
 
 def window(recording: Recording, time_step: float, horizon: int, first: int) -> Chunks:
     """The piece that begins at row `first` of a recording."""
-    return as_chunks([excerpt(0, recording, first, np.ones(RUN_IN + horizon, bool), time_step)])
+    (source,) = sources_of([recording])
+    return as_chunks([excerpt(source, first, np.ones(RUN_IN + horizon, bool), time_step)])
 
 
 Regimes = tuple[Regime, ...]
@@ -81,7 +83,7 @@ def _forecast(augmented: Augmented, scales: Scales, model: Contestant, pieces: C
         np.swapaxes(pieces.gate[..., :-1], 1, 2),
         trust,
     )
-    filtered = _begin(augmented, model.v, pieces.state[:, 0], pieces.past, pieces.time_s[:, 0], pieces.turns)
+    filtered = _begin(augmented, model.v, pieces.state[:, 0], pieces.earlier, pieces.time_s[:, 0])
     parts = []
     for first in range(0, steps, SEGMENT):
         # The last segment is filled up by repetition.
@@ -100,17 +102,16 @@ def _begin(
     augmented: Augmented,
     v: Variables,
     state: Float[Array, "W s"],
-    past: Float[Array, "W h u"],
+    earlier: Earlier,
     time_s: Float[Array, " W"],
-    turns: Float[Array, "W m u"],
 ) -> _Filtered:
     active = augmented.active(v.theta, *v.delta)
 
-    def one(state: Array, past: Array, time_s: Array, turns: Array) -> tuple[Memory, Array]:
+    def one(state: Array, earlier: Earlier, time_s: Array) -> tuple[Memory, Array]:
         first = unsense(augmented, v.theta, state, time_s)
-        return remember(augmented, jnp.asarray(v.phi), v.theta, first, past, time_s, turns, active), first
+        return remember(augmented, jnp.asarray(v.phi), v.theta, first, earlier, time_s, active), first
 
-    return jax.vmap(one)(state, past, time_s, turns)
+    return jax.vmap(one)(state, earlier, time_s)
 
 
 @partial(jax.jit, static_argnames="augmented")

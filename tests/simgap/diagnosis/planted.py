@@ -9,7 +9,7 @@ import numpy as np
 
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
-from simgap.effects.effect import HISTORY_ROWS, Row, Scales
+from simgap.effects.effect import HISTORY_ROWS, Earlier, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
 from simgap.effects.step import advance, remember, sense
 from simgap.kinematics import carried_velocity
@@ -73,7 +73,7 @@ def _run(key, theta, during, from_s, to_s, regime, there, its_regime, lost, phi,
 
     start = (
         state,
-        remember(SPOT, phi, theta, state, jnp.zeros((HISTORY_ROWS + 1, 6)), jnp.zeros(())),
+        remember(SPOT, phi, theta, state, Earlier(jnp.zeros((HISTORY_ROWS + 1, 6))), jnp.zeros(())),
         operator.init(),
         jnp.zeros(6),
     )

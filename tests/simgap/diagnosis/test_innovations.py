@@ -29,7 +29,7 @@ from simgap.diagnosis.likelihood.segments import (
 )
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
-from simgap.effects.effect import HISTORY_ROWS, Row
+from simgap.effects.effect import HISTORY_ROWS, Earlier, Row
 from simgap.effects.step import advance, remember
 from simgap.kinematics import wrapped
 from simgap.rows import by_row
@@ -115,7 +115,7 @@ def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
     (e,) = (i for i, effect in enumerate(CATALOGUE) if effect.key == "sampling_interval.stamped")
     on = jnp.zeros(len(augmented.slots)).at[augmented.index[Slot(e, 0, 0)]].set(1.0)
     state, states = jnp.zeros(2), [np.zeros(2)]
-    memory = remember(augmented, phi, on, state, jnp.zeros((HISTORY_ROWS + 1, 1)), jnp.zeros(()))
+    memory = remember(augmented, phi, on, state, Earlier(jnp.zeros((HISTORY_ROWS + 1, 1))), jnp.zeros(()))
     still = measure(augmented, [Recording("a", time_s, np.zeros((100, 2)), command)])
     for t in range(99):
         row = Row(jnp.asarray(time_s[t]), jnp.asarray(interval[t], jnp.float32))
@@ -198,6 +198,10 @@ def test_chunks_know_where_they_come_from(rows: list[int]) -> None:
     # Commands before the chunk's first, the latest first; before the session, its first.
     past = np.maximum(chunks.row[:, None] - 1 - np.arange(chunks.past.shape[1]), 0)
     np.testing.assert_array_equal(np.asarray(chunks.past)[used, :, 0], past[used])
+    # Rows only rise: the last one, then the first.
+    before, oldest = np.asarray(chunks.came)[used, 0, 1], np.asarray(chunks.came)[used, 1:, 1]
+    assert (np.abs(before - past[used, 0]) <= 1).all()
+    assert (oldest == 0).all()
     np.testing.assert_allclose(chunks.interval, 1, atol=1e-4)
 
 

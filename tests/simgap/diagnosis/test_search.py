@@ -81,6 +81,11 @@ UNSEEN = {
     "joint_gravity": "as well",
     "output_limit.quantity": "as well",
     "output_limit.sensor": "as well",
+    "stribeck_friction": "of bodies that keep their place: see test_dry_friction",
+    "load_friction": "as well",
+    "hysteresis.gradual": "as well",
+    "hysteresis.sliding": "as well",
+    "hysteresis.elastic": "as well",
     "tyre_slip.sideways": "of cars: see test_tyres",
     "tyre_slip.turning": "as well",
 }

@@ -18,7 +18,7 @@ def acting(commands: np.ndarray, delay: float) -> np.ndarray:
     rows = []
     for row in range(ROWS):
         history = held[row : row + HISTORY_ROWS][::-1]
-        memory = Memory(jnp.asarray(history[:, None]), {}, jnp.zeros((0, 1)), jnp.zeros(1))
+        memory = Memory(jnp.asarray(history[:, None]), {}, {}, jnp.zeros((0, 1)), jnp.zeros(1))
         sent = jnp.full((PARTS, 1), commands[row])
         rows.append(DELAY.law(jnp.array([[delay]]), sent, memory, None, None)[:, 0])
     return np.concatenate(rows)

@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from examples.car import CAR, Car
 from examples.drive import DRIVE
 from simgap.diagnosis.likelihood.scales import measure
-from simgap.effects import CATALOGUE, resistance
+from simgap.effects import CATALOGUE, dry_friction, resistance
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.command_filters import fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Effect, Memory, Row, Scales, Step
@@ -31,7 +31,7 @@ VOCABULARY = {
     "slope", "body_frame_bias", "external_push", "reach_limit", "ground_contact", "gait_oscillation",
     "relative_smoothing", "frame_misalignment", "sampling_interval", "integration_rule", "motion_dependent_noise",
     "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "output_limit",
-    "tyre_slip",
+    "tyre_slip", "stribeck_friction", "load_friction", "hysteresis",
 }  # fmt: skip
 ADDITIONS = {"induced_velocity", "constant_load"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}
@@ -73,7 +73,9 @@ def scene(robot: str, seed: int) -> tuple[Memory, jnp.ndarray, jnp.ndarray]:
     s, u = sizes(robot)
     rng = np.random.default_rng(seed)
     draw = lambda *shape: jnp.asarray(rng.normal(size=shape), jnp.float32)  # noqa: E731
-    memory = Memory(draw(HISTORY_ROWS, u), {k: draw(u) for k in filters(robot)}, draw(SENSED_ROWS, s), forgets(robot))
+    bent = {k: jnp.clip(draw(len(ROBOTS[robot].layout.bodies), 4), -1, 1) for k in memories(robot, "hysteresis")}
+    filters = {k: draw(u) for k in memories(robot, "filter")}
+    memory = Memory(draw(HISTORY_ROWS, u), filters, bent, draw(SENSED_ROWS, s), forgets(robot))
     return memory, draw(s), draw(u)
 
 
@@ -87,8 +89,8 @@ def at_rest(robot: str) -> tuple[Memory, jnp.ndarray, jnp.ndarray]:
     return memory._replace(fading=forgets(robot)), state, command
 
 
-def filters(robot: str) -> list[str]:
-    return [e.key for e, sites in zip(CATALOGUE, ROBOTS[robot].sites, strict=True) if e.place == "filter" and sites]
+def memories(robot: str, place: str) -> list[str]:
+    return [e.key for e, sites in zip(CATALOGUE, ROBOTS[robot].sites, strict=True) if e.place == place and sites]
 
 
 def sites_of(robot: str, effect: Effect) -> tuple:
@@ -254,16 +256,18 @@ def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
 def test_resistances_never_add_power(robot: str, seed: int) -> None:
     step, response = look(robot, seed)
     rng = np.random.default_rng(seed)
-    for effect in resistance.EFFECTS:
+    dry = [e for e in dry_friction.EFFECTS if e.place == "push"]
+    for effect in (*resistance.EFFECTS, *dry):
         sites = sites_of(robot, effect)
         if sites:
             assert all(c.low >= 0 for c in effect.constants)
-            push = effect.law(jnp.asarray(rng.exponential(size=(1, len(sites))), jnp.float32), step)
+            size = (len(effect.constants), len(sites))
+            push = effect.law(jnp.asarray(rng.exponential(size=size), jnp.float32), step)
             # Dry friction works against the motion it would else leave, the others against the motion at hand.
-            resisted = step.then.velocity if effect.id == "coulomb_friction" else step.now.velocity
+            resisted = step.then.velocity if effect in dry else step.now.velocity
             assert (push * resisted).max() <= 0
             assert float(jnp.abs(push).sum()) > 0
-            if effect.id == "coulomb_friction":  # it stops, it does not turn back
+            if effect in dry:  # it stops, it does not turn back
                 left = np.asarray(step.then.velocity + push * response)
                 assert (left * np.asarray(step.then.velocity) >= -1e-6).all()
 
@@ -405,7 +409,7 @@ def followed(key: str, constant: float, commands: list[float], before: float = 0
     augmented, c = ROBOTS["drive"], theta("drive", effect, [constant], [0])
     past = jnp.full((HISTORY_ROWS, 1), before)
     fades = jnp.array([rate], jnp.float32)
-    memory = Memory(past, dict.fromkeys(filters("drive"), past[0]), jnp.zeros((SENSED_ROWS, 2)), fades)
+    memory = Memory(past, dict.fromkeys(memories("drive", "filter"), past[0]), {}, jnp.zeros((SENSED_ROWS, 2)), fades)
     acted = []
     for i, u in enumerate(commands):
         row = Row(jnp.array(30.0 * i), jnp.ones(()))
@@ -540,7 +544,7 @@ def test_the_clock_is_off_by_thirty_percent_at_most() -> None:
 def test_sensors_by_hand() -> None:
     augmented = ROBOTS["drive"]
     past = jnp.array([[2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
-    memory = Memory(jnp.zeros((HISTORY_ROWS, 1)), {}, past, forgets("drive"))
+    memory = Memory(jnp.zeros((HISTORY_ROWS, 1)), {}, {}, past, forgets("drive"))
     state, row = jnp.array([1.0, 10.0]), Row(jnp.asarray(30.0), jnp.ones(()))
     keys = {e.key: e for e in CATALOGUE}
 

@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
+from simgap.effects.augmented import Augmented
 from simgap.ground import draw as ground
 from simgap.ground.draw import draw
-from simgap.ground.families import FAMILIES, OUTSIDE, WITHIN
+from simgap.ground.families import EQUIVALENT, FAMILIES, names_of
 from simgap.ground.laws import Push, Static, Uneven
 from simgap.ground.machines import MACHINES, Machine
 
@@ -102,6 +103,14 @@ def test_an_uneven_law_acts_along_its_axes_and_more_in_some_places() -> None:
     np.testing.assert_allclose(pushed.push(at, np.zeros(2), np.zeros(2), 0.1), [0, 1.5])
 
 
-def test_families_have_a_name_or_none() -> None:
-    assert set(WITHIN) | set(OUTSIDE) == set(FAMILIES)
-    assert not set(WITHIN) & set(OUTSIDE)
+@pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.name)
+def test_every_name_is_an_effect_that_has_a_site_on_the_machine(machine: Machine) -> None:
+    augmented = Augmented(machine)
+    possible = {e.id for e, sites in zip(augmented.catalogue, augmented.sites, strict=True) if sites}
+    for family in FAMILIES:
+        assert names_of(family, machine.name) <= possible, family
+
+
+def test_further_names_are_of_machines_and_families_that_there_are() -> None:
+    assert {machine for machine, _ in EQUIVALENT} <= {m.name for m in MACHINES}
+    assert {family for _, family in EQUIVALENT} <= set(FAMILIES)
