@@ -77,9 +77,9 @@ class Scales(NamedTuple):
     `reaching` [n, 21]. height: the same of z, of the bodies `floored` [n, 21]. interval: time [s] over which each
     position integrates its velocity. output: 95th percentile of |output - median|. duration: of the longest session
     [s]. time_step [s]. travel, pace, hold [n]: 95th percentile of |position|, axis_speed and axis_command of the bodies
-    that keep their place (`restoring.staying`). furthest [n]: greatest size of the states that may stop
-    (`stops.limited`). measured: number of the measured ones of these. Only speed, reach, height, interval and measured
-    can be zero.
+    that keep their place (`restoring.staying`); grain [n]: noise of their positions, or their step. furthest [n]:
+    greatest size of the states that may stop (`stops.limited`). measured: number of the measured ones of these. Only
+    speed, reach, height, interval, grain and measured can be zero.
     """
 
     command: np.ndarray
@@ -96,6 +96,7 @@ class Scales(NamedTuple):
     travel: np.ndarray = np.zeros(0)
     pace: np.ndarray = np.zeros(0)
     hold: np.ndarray = np.zeros(0)
+    grain: np.ndarray = np.zeros(0)
     furthest: np.ndarray = np.zeros(0)
     measured: float = 0.0
 
@@ -120,8 +121,8 @@ class Constant:
     `physical(c, index of the site, scales)`. `low`, `high`: bounds of the internal value. `shapes`: it shapes how the
     other constants act (such as an onset) and does nothing by itself. reciprocal: the internal value is one over a
     limit; the smaller it is, the wider the limit. credible(index of the site, scales): size of the internal value
-    beyond which the estimate is not physically plausible. least(index of the site, scales): size below which the law is
-    the one that it extends.
+    beyond which the estimate is not physically plausible. least(index of the site, scales): size of a shape below which
+    another law is meant.
     """
 
     name: str

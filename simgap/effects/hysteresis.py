@@ -16,8 +16,9 @@ from simgap.layout import Layout
 
 SHORT = (0.03, 0.1, 0.3, 1.0)
 """Starting values of the length, as shares of the usual distance."""
-RESOLVED = 0.1
-"""Least length, as a share of the usual way in a row: near reversals rows are shorter."""
+RESOLVED, CLEAR = 0.1, 3.0
+"""Least length of hysteresis, as a share of the usual way in a row (near reversals rows are shorter), and in units of
+the noise or the step of a position: what builds up on a shorter way is dry friction."""
 STILL = 1e-6
 """Ways below this share of the length count as none."""
 
@@ -72,9 +73,17 @@ def _end_to_end(site: int, scales: Scales) -> float:
     return 2 * float(scales.travel[site])
 
 
-def _within_a_row(site: int, scales: Scales) -> float:
-    """With a smaller length no row shows how the force builds up: that is Coulomb's friction."""
-    return RESOLVED * scales.time_step * float(scales.pace[site])
+def _resolved(site: int, scales: Scales) -> float:
+    """The least length on which rows show how a force builds up."""
+    return max(RESOLVED * scales.time_step * float(scales.pace[site]), CLEAR * float(scales.grain[site]))
+
+
+def _usual_command(site: int, scales: Scales) -> float:
+    return float(scales.hold[site])
+
+
+def _unresolved(scales: Scales, site: int) -> list[list[float]]:
+    return [[0.1 * float(scales.hold[site]), share * _resolved(site, scales)] for share in (0.1, 0.5)]
 
 
 def _forces(scales: Scales, site: int) -> list[list[float]]:
@@ -87,9 +96,17 @@ def _stiffnesses(scales: Scales, site: int) -> list[list[float]]:
 
 
 _FORCE, _STIFFNESS = (Constant(name, unit, low=0.0) for name, unit in (("force", "{u}"), ("stiffness", "{u}/{x}")))
-_LENGTH = Constant("length", "{x}", low=0.0, shapes=True, credible=_end_to_end, least=_within_a_row)
+_LENGTH = Constant("length", "{x}", low=0.0, shapes=True, credible=_end_to_end, least=_resolved)
+
+_LOSS = Constant("loss", "{u}", low=0.0, credible=_usual_command)
+_GIVES = Constant("length", "{x}", low=0.0, shapes=True, credible=_resolved)
 
 EFFECTS = (
+    Effect(
+        "coulomb_friction", "hysteresis", (_LOSS, _GIVES), staying_sites, _unresolved, _law(_maxwell),
+        "dry friction: a constant resistance of {loss} works against the motion, once that has gone {length} after a "
+        "reversal", form="giving", tie="same_unit", extends="coulomb_friction",
+    ),
     Effect(
         "hysteresis", "hysteresis", (_FORCE, _LENGTH), staying_sites, _forces, _law(_dahl),
         "hysteresis: after a reversal a force against the motion builds up, gradually, to {force} on a way of about "

@@ -59,6 +59,7 @@ def one_more(
     problem, fit, _ = model
     taken = {(entry, group.support) for group in fit.groups for entry in group.entries}
     free = [c for c in hypotheses if not taken & {(e, g.support) for g in c.groups for e in g.entries}]
+    free = [c for c in free if not any(_of_one_kind(c, other) for other in found)]
     absorbed = absorbing(model)
     allowance = room(model, absorbed, found)
     screening = screen(problem, fit, allowance.whole, free, rng)
@@ -101,13 +102,22 @@ def _contends(t: Trial, best: float) -> bool:
     return t.promise >= (HOPELESS if t.hypothesis.effect.basins else CONTENDER) * best
 
 
+def _of_one_kind(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether they are two laws of one kind of friction, at one place: together they would only mend their forms."""
+    kinds = {c.effect.extends or c.effect.id for c in (one, other)}
+    related = len(kinds) == 1 and (one.effect.extends or other.effect.extends)
+    return bool(related) and one.effect is not other.effect and not {*one.outputs}.isdisjoint(other.outputs)
+
+
 def _extends_in_vain(problem: Problem, t: Trial, tried: Sequence[Trial]) -> bool:
-    """Whether the fit is that of a simpler law, which this one extends; or that gains as much, but for what further
-    constants gain by chance and what may only reflect misfit."""
-    constants, site = zip(t.hypothesis.effect.constants, t.hypothesis.groups, strict=True), t.hypothesis.sites[0]
-    if any(abs(value_of(t.fit.v, group)) < c.least(site, problem.scales) for c, group in constants):
-        return True
-    simpler = [o for o in tried if o.hypothesis.effect.id == t.hypothesis.effect.extends]
+    """Whether another law is meant by a shape; or a simpler law, which this one extends, gains as much, but for what
+    further constants gain by chance and what may only reflect misfit."""
+    effect, site, scales = t.hypothesis.effect, t.hypothesis.sites[0], problem.scales
+    for constant, group in zip(effect.constants, t.hypothesis.groups, strict=True):
+        size = abs(value_of(t.fit.v, group))
+        if constant.shapes and not constant.least(site, scales) <= size <= constant.credible(site, scales):
+            return True
+    simpler = [o for o in tried if o.hypothesis.effect.id == effect.extends and o.hypothesis.effect is not effect]
     margin = lambda o: 0.5 * (len(t.hypothesis.groups) - len(o.hypothesis.groups)) * np.log(len(t.fit.e))  # noqa: E731
     return any(t.gain < (o.gain + margin(o)) / (1 - LEAST_SHARE) for o in simpler)
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.restoring import staying
@@ -56,9 +57,19 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
         travel=_typical_size(states[:, [layout.position[place] for place in held]]),
         pace=axis_speed[of_held],
         hold=axis_command[of_held],
+        grain=_grains(recordings, [int(layout.position[place]) for place in held]),
         furthest=np.abs(states[:, limited(layout)]).max(0),
         measured=float(len(stopping(layout))),
     )
+
+
+def _grains(recordings: Sequence[Recording], columns: list[int]) -> Float[np.ndarray, " n"]:
+    """Noise of some columns by their second differences, or their least step where that is larger."""
+    bends = np.concatenate([np.diff(r.state[:, columns], 2, axis=0) for r in recordings])
+    steps = np.abs(np.concatenate([np.diff(r.state[:, columns], axis=0) for r in recordings]))
+    least = np.where(steps > 0, steps, np.inf).min(0, initial=np.inf)
+    noise = NORMAL_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(6) if len(bends) else np.zeros(len(columns))
+    return np.maximum(noise, np.where(np.isfinite(least), least, 0.0))
 
 
 def _typical_size(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:

@@ -83,6 +83,7 @@ UNSEEN = {
     "output_limit.sensor": "as well",
     "stribeck_friction": "of bodies that keep their place: see test_dry_friction",
     "load_friction": "as well",
+    "coulomb_friction.giving": "as well",
     "hysteresis.gradual": "as well",
     "hysteresis.sliding": "as well",
     "hysteresis.elastic": "as well",

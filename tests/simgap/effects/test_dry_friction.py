@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint import JOINT, freely, recorded
+from joint import JOINT, NOISE, freely, recorded
 from stated import check_named_alone, stated
 
 from examples.car import CAR
-from simgap.effects import CATALOGUE
+from simgap.diagnosis.hypotheses.space import hypotheses_of
+from simgap.diagnosis.inference.select import _of_one_kind
+from simgap.diagnosis.likelihood.scales import measure
+from simgap.effects import CATALOGUE, dry_friction, hysteresis
 from simgap.effects.augmented import Augmented
 from simgap.effects.hysteresis import _dahl, _elastic, _maxwell
 from simgap.simulators.spot import Spot
@@ -34,13 +37,13 @@ def rubbing(rng: np.random.Generator, most: Most) -> Recording:
     return recorded(rng, follows)
 
 
-def bending(rng: np.random.Generator, slope: Slope) -> Recording:
-    """Bristles, bent by z, whose bend changes by `slope(z, sign of the speed)` in a `LENGTH`."""
+def bending(rng: np.random.Generator, slope: Slope, length: float = LENGTH) -> Recording:
+    """Bristles, bent by z, whose bend changes by `slope(z, sign of the speed)` in a length."""
     z = 0.0
 
     def follows(q: float, w: float, torque: float, h: float) -> tuple[float, float]:
         nonlocal z
-        z += h * w / LENGTH * slope(z, np.sign(w))
+        z += h * w / length * slope(z, np.sign(w))
         return freely(q, w, torque - FORCE * z, h)
 
     return recorded(rng, follows)
@@ -61,6 +64,31 @@ def test_hysteresis_is_named_with_its_constants(form: str, constants: dict[str, 
     check_named_alone(stated(JOINT, bending, 0, slope=SLOPES[form]), f"hysteresis.{form}", constants)
 
 
+def test_what_builds_up_within_a_few_readings_is_dry_friction() -> None:
+    (named,) = stated(JOINT, bending, 0, slope=SLOPES["sliding"], length=NOISE)["effects"]
+    assert named["id"] == "coulomb_friction"
+    assert named["constants"][0]["value"] == pytest.approx(FORCE, rel=0.05)
+
+
+def test_a_place_has_one_law_of_dry_friction() -> None:
+    """Two would only mend each other's form. Another joint may have another one, and a spring that keeps some is none."""
+    augmented = Augmented(JOINT)
+    scales = measure(augmented, [recorded(np.random.default_rng(0))])
+    laws = {c.effect.key: c for c in hypotheses_of(augmented, scales)}
+    kind = [
+        "coulomb_friction",
+        "coulomb_friction.giving",
+        "stribeck_friction",
+        "hysteresis.gradual",
+        "hysteresis.sliding",
+    ]
+    for one in kind:
+        others = [key for key in laws if _of_one_kind(laws[one], laws[key])]
+        assert sorted(others) == sorted(set(kind) - {one})
+    elsewhere = laws[kind[0]]._replace(outputs=("another",))
+    assert not any(_of_one_kind(elsewhere, laws[key]) for key in kind)
+
+
 @pytest.mark.parametrize(
     ("key", "most", "constants"),
     [
@@ -78,10 +106,10 @@ def test_friction_is_named_with_its_constants(key: str, most: Most, constants: d
 
 
 def test_bodies_that_wander_have_coulomb_friction_only() -> None:
+    of_others = {e.key for e in (*dry_friction.EFFECTS, *hysteresis.EFFECTS)} - {"coulomb_friction"}
     for robot in (Spot(), CAR):
         augmented = Augmented(robot)
-        ids = {e.id for e, sites in zip(CATALOGUE, augmented.sites, strict=True) if sites}
-        assert not ids & {"stribeck_friction", "load_friction", "hysteresis"}
+        assert not of_others & {e.key for e, sites in zip(CATALOGUE, augmented.sites, strict=True) if sites}
 
 
 # The laws of hysteresis

@@ -278,7 +278,7 @@ def test_dry_friction_of_the_whole_robot_brings_it_to_rest(robot: str) -> None:
 
     What is mounted stands once its carrier does: a simulator may let the carrier's motion leak into its velocity.
     """
-    (coulomb,) = (e for e in CATALOGUE if e.id == "coulomb_friction")
+    (coulomb,) = (e for e in CATALOGUE if e.key == "coulomb_friction")
     much = theta(robot, coulomb, [1e3], list(range(len(sites_of(robot, coulomb)))))
     memory, state, command = scene(robot, 2)
     layout = ROBOTS[robot].layout
@@ -295,7 +295,7 @@ def test_dry_friction_stops_a_base_though_it_turns_and_a_bias_drives_it() -> Non
     command = 0.1 * scene("spot", 0)[2]
     biased = PHI["spot"].copy()
     biased[6:9] = 0.02, -0.01, 0.03  # of the base's velocities
-    (effect,) = (e for e in CATALOGUE if e.id == "coulomb_friction")
+    (effect,) = (e for e in CATALOGUE if e.key == "coulomb_friction")
     much = theta("spot", effect, [1e3], list(range(len(sites_of("spot", effect)))))
     then = advance(ROBOTS["spot"], biased, much, scales("spot"), memory, state, command, ROW)[1]
     np.testing.assert_allclose(motion(ROBOTS["spot"].layout, then).velocity[0], 0, atol=1e-4)
