@@ -16,7 +16,8 @@ from simgap.recordings import HISTORY
 from simgap.types import Parameter, Schema, Simulator
 
 SETTLING = 16
-"""Rows for which the oldest known command is taken to have been sent before, where play or lags remember it."""
+"""Rows for which the oldest known command is taken to have been sent before, where play or lags remember it; and for
+which the bodies are taken to have moved as they do, for hysteresis."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,9 @@ class AugmentedSimulator:
         past = jnp.concatenate([commands[HISTORY - 1 :: -1], earlier])
         row = Row(jnp.asarray(self.scales.duration / 2), jnp.ones(()))
         start = unsense(augmented, theta, state, row.time_s)
-        memory = remember(augmented, params, theta, start, Earlier(past), row.time_s)
+        rates = augmented.layout.integrates
+        moved = jnp.where(rates >= 0, SETTLING * self.time_step * start[rates], 0.0)
+        memory = remember(augmented, params, theta, start, Earlier(past, states=(start - moved)[None]), row.time_s)
         memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
         at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
         return sense(augmented, theta, at_rest, then, row)

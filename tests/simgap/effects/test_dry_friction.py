@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.select import _of_one_kind
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE, dry_friction, hysteresis
-from simgap.effects.augmented import Augmented
+from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.hysteresis import _dahl, _elastic, _maxwell
+from simgap.effects.regime import Acting
+from simgap.simulators.augmented import AugmentedSimulator
 from simgap.simulators.spot import Spot
 from simgap.types import Recording
 
@@ -70,8 +73,23 @@ def test_what_builds_up_within_a_few_readings_is_dry_friction() -> None:
     assert named["constants"][0]["value"] == pytest.approx(FORCE, rel=0.05)
 
 
+def test_a_simulator_that_sees_one_state_takes_it_to_have_moved_as_it_does() -> None:
+    """So the force is built up, but for a while after a reversal."""
+    recording = bending(np.random.default_rng(0), SLOPES["sliding"], length=0.02)
+    augmented, theta = Augmented(JOINT), np.zeros(len(Augmented(JOINT).slots), np.float32)
+    law = [e.key for e in CATALOGUE].index("hysteresis.sliding")
+    for k, value in enumerate((FORCE, 0.02)):
+        theta[augmented.index[Slot(law, k, 0)]] = value
+    acting = Acting(theta, np.zeros((0, len(theta)), np.float32), ())
+    with_it = AugmentedSimulator.of(JOINT, acting, measure(augmented, [recording]))
+    x, u = (jnp.asarray(a, jnp.float32) for a in (recording.state, recording.command))
+    steps = [jax.vmap(s.step, (None, 0, 0))(jnp.array([0.5]), x[:-1], u[:-1]) for s in (JOINT, with_it)]
+    off = [float(jnp.median(jnp.abs(then - x[1:])[:, 1])) for then in steps]
+    assert off[1] < 2 * NOISE < off[0] / 5
+
+
 def test_a_place_has_one_law_of_dry_friction() -> None:
-    """Two would only mend each other's form. Another joint may have another one, and a spring that keeps some is none."""
+    """Two would only mend each other's form. Another joint may have another one."""
     augmented = Augmented(JOINT)
     scales = measure(augmented, [recorded(np.random.default_rng(0))])
     laws = {c.effect.key: c for c in hypotheses_of(augmented, scales)}
