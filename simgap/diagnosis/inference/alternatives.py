@@ -23,7 +23,7 @@ from simgap.diagnosis.inference.model import (
 )
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.screening import Screening
-from simgap.diagnosis.inference.select import one_more
+from simgap.diagnosis.inference.select import means_another, one_more
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density
 
@@ -68,7 +68,9 @@ def defend(
         own = next(t for t in tried.tried if t.hypothesis is hypothesis)
         rivals = [t for t in tried.tried if t is not own]
         required = chosen.screening.threshold / 2
-        better = _better(reduced, rivals, own, holds_out, required)
+        # Fitted together with others, it may have become another law, which then has no lead to make up for.
+        held = own._replace(gain=0.0) if means_another(problem, own) else own
+        better = _better(reduced, rivals, held, holds_out, required)
         if better is not None:
             report(f"{better.hypothesis.name} replaces {hypothesis.name} ({better.gain - own.gain:+.1f} nats)")
             model = Model(problem, *optimise(problem, better.fit))

@@ -77,7 +77,8 @@ def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Sp
     for constant, group in zip(hypothesis.effect.constants, hypothesis.groups, strict=True):
         value = abs(value_of(fit.v, group))
         credible = min(constant.credible(site, problem.scales) for site in hypothesis.sites)
-        if value > credible or _at_end(problem, fit, group):
+        least = min(constant.least(site, problem.scales) for site in hypothesis.sites)
+        if not least <= value <= credible or _at_end(problem, fit, group):
             return False
         differs |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
     return bool(differs)

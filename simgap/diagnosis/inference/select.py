@@ -85,7 +85,8 @@ def one_more(
     p_values = [screening.p_value_of_fit(t.hypothesis.name, t.beyond) for t in judged]
     if screening.p_value > LEVEL:  # then a fit has to pass by itself
         judged = [t for t, p_value in zip(judged, p_values, strict=True) if p_value <= LEVEL]
-    judged = [t for t in judged if not _extends_in_vain(problem, t, [*incumbent, *judged])]
+    judged = [t for t in judged if not means_another(problem, t)]
+    judged = [t for t in judged if not _extends_in_vain(t, [*incumbent, *judged])]
     tried = sorted([*incumbent, *judged], key=lambda t: -t.gain)
     report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats" if tried else
         "fitted, they gain no more than noise alone")  # fmt: skip
@@ -109,14 +110,19 @@ def _of_one_kind(one: Hypothesis, other: Hypothesis) -> bool:
     return bool(related) and one.effect is not other.effect and not {*one.outputs}.isdisjoint(other.outputs)
 
 
-def _extends_in_vain(problem: Problem, t: Trial, tried: Sequence[Trial]) -> bool:
-    """Whether another law is meant by a shape; or a simpler law, which this one extends, gains as much, but for what
-    further constants gain by chance and what may only reflect misfit."""
-    effect, site, scales = t.hypothesis.effect, t.hypothesis.sites[0], problem.scales
-    for constant, group in zip(effect.constants, t.hypothesis.groups, strict=True):
-        size = abs(value_of(t.fit.v, group))
-        if constant.shapes and not constant.least(site, scales) <= size <= constant.credible(site, scales):
-            return True
+def means_another(problem: Problem, t: Trial) -> bool:
+    """Whether a shape of the fitted law lies where another law is meant, or none."""
+    site, scales = t.hypothesis.sites[0], problem.scales
+    shapes = [(c, g) for c, g in zip(t.hypothesis.effect.constants, t.hypothesis.groups, strict=True) if c.shapes]
+    return any(
+        not c.least(site, scales) <= abs(value_of(t.fit.v, g)) <= c.credible(site, scales) for c, g in shapes
+    )  # fmt: skip
+
+
+def _extends_in_vain(t: Trial, tried: Sequence[Trial]) -> bool:
+    """Whether a simpler law, which this one extends, gains as much, but for what further constants gain by chance and
+    what may only reflect misfit."""
+    effect = t.hypothesis.effect
     simpler = [o for o in tried if o.hypothesis.effect.id == effect.extends and o.hypothesis.effect is not effect]
     margin = lambda o: 0.5 * (len(t.hypothesis.groups) - len(o.hypothesis.groups)) * np.log(len(t.fit.e))  # noqa: E731
     return any(t.gain < (o.gain + margin(o)) / (1 - LEAST_SHARE) for o in simpler)
