@@ -15,7 +15,7 @@ SLOW = (0.03, 0.1, 0.3)
 """Starting values of a speed below which friction rises, as shares of the usual speed."""
 
 
-def opposed(step: Step, most: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
+def _opposed(step: Step, most: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
     """A push of size `most` against the motion, or the smaller one that ends it within the step: the body sticks.
 
     The motion is that which the body's own drive causes. Otherwise, where a simulator's velocity memory includes the
@@ -28,14 +28,14 @@ def opposed(step: Step, most: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
 
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """At most c."""
-    return opposed(step, on_axes(step.layout, c[0]))
+    return _opposed(step, on_axes(step.layout, c[0]))
 
 
 def _stribeck(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
     """At most c_0 + c_1 exp(-(v / c_2)^2) [Armstrong-Helouvry 1994]."""
     sliding, excess, slow = (on_axes(step.layout, values, staying(step.layout)) for values in c)
     share = step.now.velocity / jnp.where(slow > 0, slow, jnp.inf)
-    return opposed(step, sliding + excess * jnp.exp(-(share**2)))
+    return _opposed(step, sliding + excess * jnp.exp(-(share**2)))
 
 
 def _under_load(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
@@ -46,7 +46,7 @@ def _under_load(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
         column = layout.driven[b, a]
         kind = layout.schema.command[column].kind
         loads.append(step.command[column] - (at[kind][b, a] if kind in at else 0.0))
-    return opposed(step, jnp.abs(on_axes(layout, c[0] * jnp.stack(loads), _driven(layout))))
+    return _opposed(step, jnp.abs(on_axes(layout, c[0] * jnp.stack(loads), _driven(layout))))
 
 
 def _driven(layout: Layout) -> list[tuple[int, int]]:
@@ -57,7 +57,7 @@ def _driven_sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(site for site in staying_sites(layout) if site.channels)
 
 
-def usual_command(site: int, scales: Scales) -> float:
+def _usual_command(site: int, scales: Scales) -> float:
     """With a greater loss, hardly any command would move the axis."""
     return float(scales.axis_command[site])
 
@@ -69,7 +69,7 @@ def _stribecks(scales: Scales, site: int) -> list[list[float]]:
 
 EFFECTS = (
     Effect(
-        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0, credible=usual_command),), axis_sites,
+        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0, credible=_usual_command),), axis_sites,
         lambda scales, site: [[0.1 * float(scales.axis_command[site])]], _coulomb,
         "dry friction: a constant resistance of {loss} works against the motion", tie="same_unit",
     ),

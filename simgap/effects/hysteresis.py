@@ -79,6 +79,7 @@ def _resolved(site: int, scales: Scales) -> float:
 
 
 def _usual_command(site: int, scales: Scales) -> float:
+    """With a greater loss, hardly any command would move the body."""
     return float(scales.hold[site])
 
 

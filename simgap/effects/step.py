@@ -174,15 +174,18 @@ def advance(
         sent = u if u.ndim == 1 else u.mean(0)
         step = Step(now, expected, (state, then), response, own, sent, layout, scales, row)
 
-        def bend(law: Law, after: Float[Array, " s"]) -> tuple[Float[Array, "b 4"], Float[Array, "b 4"]]:
+        def along(law: Law, end: Float[Array, " s"]) -> tuple[Float[Array, "b 4"], Float[Array, "b 4"]]:
+            """Bend at the end of the way to a state, and the push on that way."""
             bent = memory.bent[law.effect.key]
-            return law((bent, nil), bent, wrapped(layout, after - state), layout)
+            unchanged = (bent, nil)
+            return law(unchanged, bent, wrapped(layout, end - state), layout)
 
-        delta = sum((law(nil, step) for law in laws), nil) + sum((bend(law, then)[1] for law in lasting), nil)
-        moved, rates = with_push(delta)
-        after = moved + augmented.simulator.time_step * rates
+        pushes = [law(nil, step) for law in laws]
+        pushes += [along(law, then)[1] for law in lasting]
+        moved, rates = with_push(sum(pushes, nil))
+        end = moved + augmented.simulator.time_step * rates
         # By the predicted way: that between corrected states would be longer by their noise.
-        return {law.effect.key: bend(law, after)[0] for law in lasting}, after
+        return {law.effect.key: along(law, end)[0] for law in lasting}, end
 
     if laws or lasting:
         bent, then = where(_any([*laws, *lasting]), pushed, (memory.bent, then))

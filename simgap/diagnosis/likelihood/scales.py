@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
+from simgap.diagnosis.likelihood.ways import noise_of
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.restoring import staying
@@ -37,10 +37,8 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
     velocity, position, _ = by_row(motion, layout, states)
     b, a = np.array(axis_indices(layout), int).reshape(-1, 2).T
     held, places = staying(layout), list(zip(b.tolist(), a.tolist(), strict=True))
-    axis_command, axis_speed = (
-        _axis_commands(augmented, recordings, commands, velocity),
-        _typical_size(velocity[:, b, a]),
-    )
+    axis_command = _axis_commands(augmented, recordings, commands, velocity)
+    axis_speed = _typical_size(velocity[:, b, a])
     of_held = [places.index(place) for place in held]
     return Scales(
         command=_typical_size(commands),
@@ -64,12 +62,11 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
 
 
 def _grains(recordings: Sequence[Recording], columns: list[int]) -> Float[np.ndarray, " n"]:
-    """Noise of some columns by their second differences, or their least step where that is larger."""
-    bends = np.concatenate([np.diff(r.state[:, columns], 2, axis=0) for r in recordings])
-    steps = np.abs(np.concatenate([np.diff(r.state[:, columns], axis=0) for r in recordings]))
+    """Noise of some columns, or their least step where that is larger."""
+    states = [r.state[:, columns] for r in recordings]
+    steps = np.abs(np.concatenate([np.diff(state, axis=0) for state in states]))
     least = np.where(steps > 0, steps, np.inf).min(0, initial=np.inf)
-    noise = NORMAL_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(6) if len(bends) else np.zeros(len(columns))
-    return np.maximum(noise, np.where(np.isfinite(least), least, 0.0))
+    return np.maximum(noise_of(states), np.where(np.isfinite(least), least, 0.0))
 
 
 def _typical_size(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
+from simgap.diagnosis.likelihood.ways import Ways, reached, ways_of
 from simgap.effects.effect import HISTORY_ROWS, Earlier
 from simgap.engines import Engine, Table, is_engine
 from simgap.types import Recording, StepModel
@@ -23,10 +23,6 @@ FIRST = 2
 """Steps at the start of a session that are run-in as well: the estimate starts at a measured state."""
 WARM = 30
 """Rows of past commands that run through the command path before a segment, so that lags start in the right state."""
-SHAKES = 5.0
-"""Standard deviations of the noise within which a state counts as still: noise alone goes a long way to and fro."""
-FAR, TURNED = 2_000, 32
-"""Rows before a segment in which points are looked for where a state turned, and how many are kept, for hysteresis."""
 TURNS = 12
 """Turning points of each command before those rows, so that play starts in the right state; a real Spot has no more."""
 MOST, MOST_OF_ENGINE = 16_000, 1_600
@@ -40,7 +36,7 @@ Segments are padded to these numbers, so that recording sets of similar size sha
 class Chunks(NamedTuple):
     """Sessions cut into C segments of T = RUN_IN + LENGTH + 1 rows.
 
-    past, turns: see `sent_before`. came: see `reached`. counts: whether row t + 1 of
+    past, turns: see `sent_before`. came: see `ways.reached`. counts: whether row t + 1 of
     the segment is scored. gate: 1 where support s is open, else 0. session: index into the recordings. row: index of
     the segment's first row in its session. table: an engine's steps near an estimate of every row but the last;
     without it, the simulator itself is run.
@@ -75,37 +71,16 @@ def sent_before(
 
 
 class Source(NamedTuple):
-    """A session to cut segments from: its number, its recording, and its states `without_shakes`."""
+    """A session to cut segments from: its number, its recording, and how its states were reached."""
 
     session: int
     recording: Recording
-    moved: Float[np.ndarray, "T s"]
+    ways: Ways
 
 
 def sources_of(recordings: Sequence[Recording]) -> list[Source]:
     """The sessions, in order."""
-    return [Source(s, r, without_shakes(r.state)) for s, r in enumerate(recordings)]
-
-
-def without_shakes(state: Float[np.ndarray, "T s"]) -> Float[np.ndarray, "T s"]:
-    """The states of a session without what goes to and fro within the noise, by which a way would be far too long."""
-    noise = np.median(np.abs(np.diff(state, 2, axis=0)), axis=0) * NORMAL_MAD / np.sqrt(6) if len(state) > 2 else 0.0
-    moved = np.array(state)
-    for t in range(1, len(state)):
-        moved[t] = np.clip(moved[t - 1], state[t] - SHAKES / 2 * noise, state[t] + SHAKES / 2 * noise)
-    return moved
-
-
-def reached(moved: Float[np.ndarray, "T s"], row: int) -> Float[np.ndarray, "m s"]:
-    """Where each state was before a row and where it turned before that, latest first; the oldest is repeated."""
-    return np.reshape([_reached(x) for x in moved[max(row - FAR, 0) : max(row, 1)].T], (-1, TURNED)).T
-
-
-def _reached(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
-    (changing,) = np.diff(x).nonzero()
-    side = np.sign(x[changing + 1] - x[changing])
-    points = x[[0, *changing[1:][side[1:] != side[:-1]], -1]][::-1][:TURNED]
-    return np.pad(points, (0, TURNED - len(points)), mode="edge")
+    return [Source(s, r, ways_of(r.state)) for s, r in enumerate(recordings)]
 
 
 def _turns(u: Float[np.ndarray, " T"]) -> Float[np.ndarray, " m"]:
@@ -161,7 +136,7 @@ def excerpt(source: Source, start: int, counted: Bool[np.ndarray, " t"], time_st
     steps, rows = len(r.time_s) - 1, len(counted) + 1
     index = np.minimum(np.arange(start, start + rows), steps)
     time_s, interval = r.time_s[index], (r.time_s[np.minimum(index + 1, steps)] - r.time_s[index]) / time_step
-    return (r.state[index], r.command[index], *sent_before(r.command, start), reached(source.moved, start),
+    return (r.state[index], r.command[index], *sent_before(r.command, start), reached(source.ways, start),
             time_s - r.time_s[0], np.where(index < steps, interval, 1.0), counted, np.ones((1, rows)), source.session,
             start)  # fmt: skip
 

@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.likelihood.problem import Fit, Problem
-from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, TURNED, as_chunks, sent_before
+from simgap.diagnosis.likelihood.segments import LENGTH, RUN_IN, as_chunks, sent_before
+from simgap.diagnosis.likelihood.ways import TURNED
 from simgap.diagnosis.report.separation import apart, apart_refitted
 from simgap.diagnosis.validation.forecast import Contestant, Regimes, forecast
 from simgap.kinematics import motion
