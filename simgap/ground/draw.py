@@ -65,7 +65,12 @@ def draw(number: int) -> Case:
     rng = np.random.default_rng([20261128, number])
     machine = MACHINES[rng.integers(len(MACHINES))]
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-    families = _families(kind, machine, rng)
+    return recorded(number, machine, kind, _families(kind, machine, rng))
+
+
+def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]) -> Case:
+    """A case of a machine that has laws of these families; its number decides all the rest."""
+    rng = np.random.default_rng([20261129, number])
     sizes = np.exp(rng.uniform(np.log(SIZES[0]), np.log(SIZES[1]), len(families)))
     params = _parameters(machine, rng)
     rate = _rate(machine, params)

@@ -22,8 +22,9 @@ from simgap.diagnosis.inference.model import (
     settled,
 )
 from simgap.diagnosis.inference.null_distribution import blocks
+from simgap.diagnosis.inference.posterior import means_another
 from simgap.diagnosis.inference.screening import Screening
-from simgap.diagnosis.inference.select import means_another, one_more
+from simgap.diagnosis.inference.select import one_more
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density
 
@@ -69,7 +70,7 @@ def defend(
         rivals = [t for t in tried.tried if t is not own]
         required = chosen.screening.threshold / 2
         # Fitted together with others, it may have become another law, which then has no lead to make up for.
-        held = own._replace(gain=0.0) if means_another(problem, own) else own
+        held = own._replace(gain=0.0) if means_another(problem, own.fit, own.hypothesis) else own
         better = _better(reduced, rivals, held, holds_out, required)
         if better is not None:
             report(f"{better.hypothesis.name} replaces {hypothesis.name} ({better.gain - own.gain:+.1f} nats)")

@@ -76,12 +76,22 @@ def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Sp
     differs = False
     for constant, group in zip(hypothesis.effect.constants, hypothesis.groups, strict=True):
         value = abs(value_of(fit.v, group))
-        credible = min(constant.credible(site, problem.scales) for site in hypothesis.sites)
-        least = min(constant.least(site, problem.scales) for site in hypothesis.sites)
-        if not least <= value <= credible or _at_end(problem, fit, group):
+        if not _in_range(problem, hypothesis, constant, value) or _at_end(problem, fit, group):
             return False
         differs |= not constant.shapes and value > deviations * sd.constants[fit.groups.index(group)]
     return bool(differs)
+
+
+def means_another(problem: Problem, fit: Fit, hypothesis: Hypothesis) -> bool:
+    """Whether a shape of the fitted law lies where another law is meant, or none."""
+    shapes = [(c, g) for c, g in zip(hypothesis.effect.constants, hypothesis.groups, strict=True) if c.shapes]
+    return not all(_in_range(problem, hypothesis, c, abs(value_of(fit.v, g))) for c, g in shapes)
+
+
+def _in_range(problem: Problem, hypothesis: Hypothesis, constant: Constant, value: float) -> bool:
+    """Whether the size of a constant is plausible at every site that shares it."""
+    least = min(constant.least(site, problem.scales) for site in hypothesis.sites)
+    return least <= value <= min(constant.credible(site, problem.scales) for site in hypothesis.sites)
 
 
 def _at_end(problem: Problem, fit: Fit, group: Group) -> bool:

@@ -21,6 +21,7 @@ from simgap.diagnosis.inference.model import (
     settled,
 )
 from simgap.diagnosis.inference.null_distribution import short
+from simgap.diagnosis.inference.posterior import means_another
 from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
 from simgap.diagnosis.inference.score_test import screen, vary
@@ -85,7 +86,7 @@ def one_more(
     p_values = [screening.p_value_of_fit(t.hypothesis.name, t.beyond) for t in judged]
     if screening.p_value > LEVEL:  # then a fit has to pass by itself
         judged = [t for t, p_value in zip(judged, p_values, strict=True) if p_value <= LEVEL]
-    judged = [t for t in judged if not means_another(problem, t)]
+    judged = [t for t in judged if not means_another(problem, t.fit, t.hypothesis)]
     judged = [t for t in judged if not _extends_in_vain(t, [*incumbent, *judged])]
     tried = sorted([*incumbent, *judged], key=lambda t: -t.gain)
     report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats" if tried else
@@ -108,15 +109,6 @@ def _of_one_kind(one: Hypothesis, other: Hypothesis) -> bool:
     kinds = {c.effect.extends or c.effect.id for c in (one, other)}
     related = len(kinds) == 1 and (one.effect.extends or other.effect.extends)
     return bool(related) and one.effect is not other.effect and not {*one.outputs}.isdisjoint(other.outputs)
-
-
-def means_another(problem: Problem, t: Trial) -> bool:
-    """Whether a shape of the fitted law lies where another law is meant, or none."""
-    site, scales = t.hypothesis.sites[0], problem.scales
-    shapes = [(c, g) for c, g in zip(t.hypothesis.effect.constants, t.hypothesis.groups, strict=True) if c.shapes]
-    return any(
-        not c.least(site, scales) <= abs(value_of(t.fit.v, g)) <= c.credible(site, scales) for c, g in shapes
-    )  # fmt: skip
 
 
 def _extends_in_vain(t: Trial, tried: Sequence[Trial]) -> bool:

@@ -10,7 +10,8 @@ from simgap.diagnosis.hypotheses.place import place_of
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.relaxation import softly
 from simgap.effects.sites import channel_sites
-from simgap.ground.draw import draw
+from simgap.ground.draw import recorded
+from simgap.ground.machines import CART, PAIR, Machine
 
 
 @given(st.integers(0, 10_000), st.integers(1, 12), st.floats(0.01, 10.0))
@@ -39,21 +40,21 @@ def test_a_channel_is_at_the_axis_that_it_drives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "families", "named"),
-    [(551, ("lag",), {"lag"}), (628, ("delay", "rate_limit"), {"delay", "rate_limit"})],
+    ("number", "machine", "families", "named"),
+    [(6, CART, ("lag",), {"lag"}), (1, PAIR, ("delay", "rate_limit"), {"delay", "rate_limit"})],
     ids=["a lag of two poles", "an uncertain delay, and a rounded limit"],
 )
-def test_what_a_law_is_wrong_by_has_no_name(number: int, families: tuple[str, ...], named: set[str]) -> None:
-    case = draw(number)
-    assert case.families == families
+def test_what_a_law_is_wrong_by_has_no_name(
+    number: int, machine: Machine, families: tuple[str, ...], named: set[str]
+) -> None:
+    case = recorded(number, machine, "within", families)
     found = explain(case.machine, case.sessions, np.random.default_rng(0), print)
     assert {m.hypothesis.effect.id for m in found.members} == named
     assert all(m.misfit > 0 for m in found.members)
 
 
 def test_where_the_law_is_nearly_exact_bending_it_gains_next_to_nothing() -> None:
-    case = draw(621)
-    assert case.families == ("play",)
+    case = recorded(1, PAIR, "within", ("play",))
     found = explain(case.machine, case.sessions, np.random.default_rng(0), print)
     (play,) = found.members
     assert play.hypothesis.effect.id == "backlash"
