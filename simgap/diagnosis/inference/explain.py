@@ -19,6 +19,7 @@ from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relaxation import misfits
 from simgap.diagnosis.inference.select import search
+from simgap.diagnosis.inference.starts import fitted_starts
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
@@ -91,9 +92,12 @@ def explain(
     unseen = cut(sessions.heldout, time_step, len(chunks.row), most)
     problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
     problem = _tabulated(problem, before)
-    chunks = problem.chunks
     nominal = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(nominal.e))
+    if before is None and not is_engine(simulator):
+        problem, unseen = _begun(problem, nominal, unseen)
+        nominal = evaluate(problem, nominal.v, ())
+    chunks = problem.chunks
     throughout, events = hypotheses_of(augmented, scales), hypotheses_of(augmented, scales, events=True)
     asked = _Asked(chunks, unseen, nominal, throughout, events, len(baseline), rng, report)
     if baseline:
@@ -139,6 +143,12 @@ def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
     v, gate = (start(problem), problem.chunks.gate) if before is None else (before.fit.v, before.problem.chunks.gate)
     table = tabulated(problem, v, problem.chunks._replace(gate=gate)).table
     return problem._replace(chunks=problem.chunks._replace(table=table), near=np.asarray(v.phi))
+
+
+def _begun(problem: Problem, nominal: Fit, unseen: Chunks) -> tuple[Problem, Chunks]:
+    """The problem and the held-out segments with starts of unmeasured states by the parameters that fit best."""
+    problem, fit = fitted_starts(problem, nominal)
+    return problem, fitted_starts(problem._replace(chunks=unseen), fit, free=False)[0].chunks
 
 
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:

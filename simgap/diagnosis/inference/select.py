@@ -26,6 +26,7 @@ from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
 from simgap.diagnosis.inference.score_test import screen, vary
 from simgap.diagnosis.inference.screening import Screened
+from simgap.diagnosis.inference.starts import begun_anew
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -218,7 +219,7 @@ def search(
             retabulated, best = carried_on(model.problem, t, without)
             gains = best is t or best.beyond > max(required, least(retabulated, base, without, best.fit))
             if gains and holds_out(retabulated, best, required):
-                model = decorrelated(for_all(retabulated, best.fit.v), best.fit)
+                model = decorrelated(*begun_anew(for_all(retabulated, best.fit.v), best.fit))
                 break
             report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions" if gains else
                 f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")  # fmt: skip

@@ -1,8 +1,8 @@
 """Unmeasured states: their first guess, and their estimates by a fitted model.
 
 The slope of a position is the first guess of its velocity. The first guess of other states is where the simulator as it
-is leads them from zero, given what is measured. These guesses only initialise the filter. Once a model is fitted, each
-segment's start is fitted too, and the filter's estimates replace the guesses.
+is leads them from zero, given what is measured. These guesses only initialise the filter. The start of each segment is
+fitted together with a model (`inference.starts`), and the filter's estimates replace the guesses.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.filter import Variables, filtered
 from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
-from simgap.diagnosis.likelihood.student_t import NORMAL_MAD
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.stepping import Given, next_state
@@ -70,51 +69,44 @@ def _slopes(time_s: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) ->
     return (t * y).sum(1) / np.maximum((t * t).sum(1), 1e-12)
 
 
-def estimated(problem: Problem, v: Variables, chunks: Chunks, recordings: Sequence[Recording]) -> list[Recording]:
+def estimated(problem: Problem, v: Variables, recordings: Sequence[Recording]) -> list[Recording]:
     """Recordings with a fitted model's estimates of their unmeasured states."""
-    hidden = ~problem.augmented.layout.observed
-    chunks = chunks._replace(state=fitted_starts(problem, v, chunks))
-    x = estimates(problem._replace(chunks=chunks), v)
+    hidden, chunks = ~problem.augmented.layout.observed, problem.chunks
+    x = estimates(problem, v)
     x = np.where(np.isfinite(x), x, np.asarray(chunks.state)[:, :-1])
     states = [np.array(r.state) for r in recordings]
-    for chunk, (session, first) in enumerate(zip(chunks.session, chunks.row, strict=True)):
-        state = states[session]
+    for chunk in np.flatnonzero(np.asarray(chunks.counts).any(1)):  # others only pad their number
+        first, state = chunks.row[chunk], states[chunks.session[chunk]]
         settled = RUN_IN if first else 0  # the run-in keeps the estimates of the segment before
         rows = np.arange(first + settled, min(first + x.shape[1], len(state)))
         state[np.ix_(rows, hidden)] = x[chunk, rows - first][:, hidden]
-        state[first, hidden] = x[chunk, 0, hidden]
     return [r._replace(state=state) for r, state in zip(recordings, states, strict=True)]
 
 
-def fitted_starts(problem: Problem, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T s"]:
-    """States of the segments; the unmeasured ones of the first row are fitted by one weighted least-squares step.
-
-    Their usual size is the prior's standard deviation: a start that nothing measured depends on stays where it is.
-    """
-    _, raw = filtered(problem.augmented, problem.scales, v, chunks)
-    size = NORMAL_MAD * np.median(np.abs(np.asarray(raw)), axis=(0, 1))
-    moved = _steps(problem.augmented, problem.scales, v, chunks, jnp.asarray(1 / np.maximum(size, 1e-12)))
-    state = np.array(chunks.state)
-    state[:, 0, ~problem.augmented.layout.observed] += np.where(np.isfinite(moved), moved, 0.0)
-    return state
+def chained(problem: Problem, v: Variables) -> Chunks:
+    """Segments whose unmeasured states begin with the estimates of the segment before, where there is one."""
+    hidden, chunks = ~problem.augmented.layout.observed, problem.chunks
+    x, state, last = estimates(problem, v), np.array(chunks.state), None
+    for chunk in np.flatnonzero(np.asarray(chunks.counts).any(1)):  # others only pad their number
+        rows = chunks.row[chunk] - chunks.row[last] if last is not None else 0
+        if last is not None and chunks.session[chunk] == chunks.session[last] and rows < x.shape[1]:
+            found = x[last, rows, hidden]
+            state[chunk, 0, hidden] = np.where(np.isfinite(found), found, state[chunk, 0, hidden])
+        last = chunk
+    return chunks._replace(state=state)
 
 
 @partial(jax.jit, static_argnames="augmented")
-def _steps(
-    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks, weight: Float[Array, " o"]
-) -> Float[Array, "C k"]:
-    """Least-squares steps of the unmeasured states in each segment's first row, which reduce its innovations."""
+def by_start(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> Float[Array, "C k T-1 o"]:
+    """Derivatives of the innovations, of all rows, by the k unmeasured states in their segment's first row."""
     hidden = np.flatnonzero(~augmented.layout.observed)
-    prior = jnp.diag(1 / scales.output[hidden])
 
-    def one(chunk: Chunks) -> Float[Array, " k"]:
-        def e(start: Float[Array, " k"]) -> Float[Array, " n"]:
+    def one(chunk: Chunks) -> Float[Array, "k T-1 o"]:
+        def e(start: Float[Array, " k"]) -> Float[Array, "T-1 o"]:
             state = chunk.state.at[0, hidden].set(start)
             nested = jax.tree.map(lambda a: a[None], chunk._replace(state=state))
-            return (filtered(augmented, scales, v, nested)[1][0] * weight).ravel()
+            return filtered(augmented, scales, v, nested)[1][0]
 
-        start = chunk.state[0, hidden]
-        J, residuals = jnp.concatenate([jax.jacfwd(e)(start), prior]), jnp.pad(e(start), (0, len(hidden)))
-        return -jnp.linalg.lstsq(J, residuals)[0]
+        return jnp.moveaxis(jax.jacfwd(e)(chunk.state[0, hidden]), -1, 0)
 
     return jax.vmap(one)(bare(chunks))

@@ -8,11 +8,12 @@ import pytest
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.inference.starts import fitted_starts
 from simgap.diagnosis.likelihood.filter import gain_matrix
-from simgap.diagnosis.likelihood.problem import Problem, start
+from simgap.diagnosis.likelihood.problem import Problem, evaluate, start
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
-from simgap.diagnosis.likelihood.unmeasured import fitted_starts, guessed
+from simgap.diagnosis.likelihood.unmeasured import guessed
 from simgap.effects.augmented import Augmented
 from simgap.layout import Layout
 from simgap.types import Field, Parameter, Recording, Schema, Sessions
@@ -117,6 +118,7 @@ def test_a_start_on_which_hardly_anything_measured_depends_stays_near_its_guess(
     chunks = cut(sessions.fitted, Tanks().time_step)
     problem = Problem(augmented, measure(augmented, sessions.fitted), chunks, np.eye(1))
     v = start(problem)._replace(phi=np.array([1e-6, 0.05, 0.05], np.float32))
-    moved = fitted_starts(problem, v, chunks)[:, 0] - np.asarray(chunks.state)[:, 0]
+    fitted, _ = fitted_starts(problem, evaluate(problem, v, ()), free=False)
+    moved = np.asarray(fitted.chunks.state)[:, 0] - np.asarray(chunks.state)[:, 0]
     np.testing.assert_array_equal(moved[:, 0], 0)
     assert np.abs(moved[:, 1]).max() < 2 * problem.scales.output[1]

@@ -1,0 +1,152 @@
+"""Starts of unmeasured states, fitted together with the model that says what follows from them.
+
+Fitted in turns, each would stay near the other: starts that were guessed with wrong parameters keep these wrong.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from simgap.diagnosis.inference.gauss_newton import SHARES, lowest
+from simgap.diagnosis.inference.model import SETTLED
+from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
+from simgap.diagnosis.likelihood.directions import directions, prior_offset, room_to_move, step_from
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
+from simgap.diagnosis.likelihood.student_t import log_density, weights
+from simgap.diagnosis.likelihood.unmeasured import by_start, chained
+from simgap.engines import is_engine
+
+STEPS = 20
+"""Gauss-Newton steps at most."""
+AROUND = (-1.0, -0.3, -0.1, -0.03, 0.03, 0.1, 0.3, 1.0)
+"""Distances from a start that are tried where slopes lead no further, in usual sizes."""
+
+
+def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, Fit]:
+    """The problem with segments whose unmeasured states begin where the model leads them in the segment before; and the
+    fit's parameters and constants, if they are `free`. A problem without unmeasured states is unchanged.
+
+    For this, all segments first begin where their own rows are likeliest, also those that are not scored. A step away
+    from a start costs as much as from a prior of its usual size: one on which nothing measured depends stays.
+    """
+    scored = problem.chunks.counts
+    if problem.augmented.layout.observed.all() or not np.isfinite(fit.loglik):
+        return problem, fit
+    problem = problem._replace(chunks=problem.chunks._replace(counts=_until_last(np.asarray(scored))))
+    fit = evaluate(problem, fit.v, fit.groups)
+    for _ in range(STEPS):
+        before = fit.loglik
+        problem, fit = _step(problem, fit, free)
+        if fit.loglik - before < SETTLED:
+            problem, fit = _scattered(problem, fit)
+        if fit.loglik - before < SETTLED:
+            break
+    problem = problem._replace(chunks=chained(problem, fit.v)._replace(counts=scored))
+    return problem, evaluate(problem, fit.v, fit.groups)
+
+
+def begun_anew(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+    """Both, with starts fitted together with the fit: what is searched for next must not make up for wrong ones. An
+    engine's tables hold only near the starts with which they were made, so with an engine nothing changes."""
+    return (problem, fit) if is_engine(problem.augmented.simulator) else fitted_starts(problem, fit)
+
+
+def _until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:
+    """Rows up to the last scored one of each segment."""
+    return np.logical_or.accumulate(scored[:, ::-1], axis=1)[:, ::-1]
+
+
+class _Rows(NamedTuple):
+    """Innovations and their derivatives, scaled by the roots of their weights, segment by segment.
+
+    by_start [C, k, m], by_rest [M, C, m]: by the segment's own starts, and by all that is free otherwise.
+    """
+
+    e: Float[np.ndarray, "C m"]
+    by_start: Float[np.ndarray, "C k m"]
+    by_rest: Float[np.ndarray, "M C m"]
+
+
+def _rows(problem: Problem, fit: Fit, free: bool) -> _Rows:
+    counts = np.asarray(problem.chunks.counts)
+    outputs = fit.e.shape[1]
+
+    def whole(scored: Float[np.ndarray, "... n o"]) -> Float[np.ndarray, "... C m"]:
+        """Zero where a row does not count."""
+        rows = np.zeros((*scored.shape[:-2], counts.size, outputs), np.float32)
+        rows[..., np.flatnonzero(counts), :] = scored
+        return rows.reshape(*scored.shape[:-2], len(counts), counts.shape[1] * outputs)
+
+    root = np.sqrt(weights(fit.e, fit.noise)).astype(np.float32)
+    rest = np.zeros((0, *fit.e.shape), np.float32)
+    if free:
+        nuisance, count = nuisance_columns(problem, fit.v), len(fit.v.phi)
+        # The filter's gain stays: next to starts that know what comes, less correction would look best.
+        held = np.zeros_like(nuisance[count:])
+        rest = np.concatenate([nuisance[:count], held, constant_columns(problem, fit.v, fit.groups)])
+    slopes = np.asarray(by_start(problem.augmented, problem.scales, fit.v, problem.chunks)) @ problem.whiten.T
+    slopes = slopes.reshape(*slopes.shape[:2], -1) * whole(root)[:, None]
+    return _Rows(whole(fit.e * root), np.where(np.isfinite(slopes), slopes, 0.0), whole(rest * root))
+
+
+def _step(problem: Problem, fit: Fit, free: bool) -> tuple[Problem, Fit]:
+    """One step of the starts and of what else is free: the longest tried that gains, or none."""
+    e, J, A = _rows(problem, fit, free)
+    usual = _usual(problem)
+    inverse = np.linalg.inv(J @ np.swapaxes(J, 1, 2) + np.diag(usual**-2.0))
+    delta = np.zeros(len(A))
+    if free:
+        _, precision = directions(problem, fit.groups)
+        # What the starts can take out of a direction says nothing about it.
+        mixed = np.einsum("ckm,acm->cka", J, A)
+        solved = inverse @ mixed
+        curvature = np.tensordot(A, A, ([1, 2], [1, 2])) - np.tensordot(mixed, solved, ([0, 1], [0, 1]))
+        gradient = np.tensordot(A, e, 2) - np.einsum("cka,ckm,cm->a", solved, J, e)
+        gradient = gradient + precision * prior_offset(problem, fit.v, fit.groups)
+        hessian = curvature + np.diag(precision)
+        if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+            return problem, fit
+        room = room_to_move(problem, fit.v, fit.groups)
+        down, up = (np.where(np.diag(curvature) > 0, r, 0.0) for r in room)
+        delta = lowest(hessian.astype(float), gradient.astype(float), down, up)
+    moves = -np.einsum("ckl,clm,cm->ck", inverse, J, e + np.tensordot(delta, A, 1))
+    for share in SHARES if free else (0.0,):
+        v = step_from(problem, fit.v, fit.groups, share * delta) if free else fit.v
+        moved, tried = _best_of(problem, fit._replace(v=v), [part * moves for part in (*SHARES, 0.0)])
+        if tried.loglik > fit.loglik:
+            return moved, tried
+    return problem, fit
+
+
+def _scattered(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+    """Starts of states that are `apart` at the best of some values around where they are, one state at a time: slopes
+    there may lead nowhere, such as those of an empty tank."""
+    layout, usual = problem.augmented.layout, _usual(problem)
+    for k in np.flatnonzero(layout.apart[~layout.observed]):
+        along = np.eye(len(usual))[k] * usual
+        problem, fit = _best_of(problem, fit, [share * along for share in (0.0, *AROUND)])
+    return problem, fit
+
+
+def _best_of(problem: Problem, fit: Fit, moves: Sequence[Float[np.ndarray, "*C k"]]) -> tuple[Problem, Fit]:
+    """Each segment with the one of some moves of its start with which its own rows are likeliest."""
+    counts, hidden = np.asarray(problem.chunks.counts), ~problem.augmented.layout.observed
+    segment = np.nonzero(counts)[0]
+    states, likely = [], []
+    for move in moves:
+        state = np.array(problem.chunks.state)
+        state[:, 0, hidden] += move
+        states.append(state)
+        e = trials(problem._replace(chunks=problem.chunks._replace(state=state)), [fit.v])[0]
+        likely.append(np.bincount(segment, log_density(e, fit.noise).sum(1), len(counts)))
+    best = np.argmax(np.nan_to_num(likely, nan=-np.inf), axis=0)
+    chosen = np.stack(states)[best, np.arange(len(counts))]
+    problem = problem._replace(chunks=problem.chunks._replace(state=chosen))
+    return problem, evaluate(problem, fit.v, fit.groups)
+
+
+def _usual(problem: Problem) -> Float[np.ndarray, " k"]:
+    """Usual sizes of the unmeasured states."""
+    return np.asarray(problem.scales.output)[~problem.augmented.layout.observed]
