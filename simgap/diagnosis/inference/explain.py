@@ -84,20 +84,8 @@ def explain(
 
     An engine is tabulated at the fit of the explanation `before`, or at its nominal parameters without one.
     """
-    augmented, baseline = Augmented(simulator), sessions.baseline
-    scales, time_step, most = measure(augmented, sessions.fitted), simulator.time_step, most_rows(simulator)
-    chunks = cut(sessions.fitted, time_step, most=most)
-    if baseline:
-        chunks = opened(augmented.layout, chunks, [Since(len(baseline))])
-    unseen = cut(sessions.heldout, time_step, len(chunks.row), most)
-    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
-    problem = _tabulated(problem, before)
-    nominal = evaluate(problem, start(problem), ())
-    problem = problem._replace(whiten=whitening(nominal.e))
-    if before is None and not is_engine(simulator):
-        problem, unseen = _begun(problem, nominal, unseen)
-        nominal = evaluate(problem, nominal.v, ())
-    chunks = problem.chunks
+    problem, nominal, unseen = _posed(simulator, sessions, ranges_hold, before)
+    augmented, scales, chunks, baseline = problem.augmented, problem.scales, problem.chunks, sessions.baseline
     throughout, events = hypotheses_of(augmented, scales), hypotheses_of(augmented, scales, events=True)
     asked = _Asked(chunks, unseen, nominal, throughout, events, len(baseline), rng, report)
     if baseline:
@@ -136,6 +124,27 @@ def explain(
     )  # fmt: skip
 
 
+def _posed(
+    simulator: StepModel | Engine, sessions: Sessions, ranges_hold: bool, before: Explanation | None
+) -> tuple[Problem, Fit, Chunks]:
+    """The problem, its fit at nominal parameters, and the held-out segments."""
+    augmented = Augmented(simulator)
+    scales, time_step, most = measure(augmented, sessions.fitted), simulator.time_step, most_rows(simulator)
+    chunks = cut(sessions.fitted, time_step, most=most)
+    if sessions.baseline:
+        chunks = opened(augmented.layout, chunks, [Since(len(sessions.baseline))])
+    unseen = cut(sessions.heldout, time_step, len(chunks.row), most)
+    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
+    problem = _tabulated(problem, before)
+    nominal = evaluate(problem, start(problem), ())
+    problem = problem._replace(whiten=whitening(nominal.e))
+    if before is None and not is_engine(simulator):
+        problem, fit = fitted_starts(problem, nominal)
+        unseen = fitted_starts(problem._replace(chunks=unseen), fit, free=False)[0].chunks
+        nominal = evaluate(problem, nominal.v, ())
+    return problem, nominal, unseen
+
+
 def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
     """The problem with an engine tabulated at an earlier fit, or at the start; unchanged without an engine."""
     if not is_engine(problem.augmented.simulator):
@@ -143,12 +152,6 @@ def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
     v, gate = (start(problem), problem.chunks.gate) if before is None else (before.fit.v, before.problem.chunks.gate)
     table = tabulated(problem, v, problem.chunks._replace(gate=gate)).table
     return problem._replace(chunks=problem.chunks._replace(table=table), near=np.asarray(v.phi))
-
-
-def _begun(problem: Problem, nominal: Fit, unseen: Chunks) -> tuple[Problem, Chunks]:
-    """The problem and the held-out segments with starts of unmeasured states by the parameters that fit best."""
-    problem, fit = fitted_starts(problem, nominal)
-    return problem, fitted_starts(problem._replace(chunks=unseen), fit, free=False)[0].chunks
 
 
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:

@@ -13,6 +13,7 @@ from simgap.diagnosis.inference.gauss_newton import SHARES, lowest
 from simgap.diagnosis.inference.model import SETTLED
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions, prior_offset, room_to_move, step_from
+from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.student_t import log_density, weights
 from simgap.diagnosis.likelihood.unmeasured import by_start, chained
@@ -31,18 +32,19 @@ def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Proble
     For this, all segments first begin where their own rows are likeliest, also those that are not scored. A step away
     from a start costs as much as from a prior of its usual size: one on which nothing measured depends stays.
     """
-    scored = problem.chunks.counts
-    if problem.augmented.layout.observed.all() or not np.isfinite(fit.loglik):
+    scored, layout = problem.chunks.counts, problem.augmented.layout
+    if layout.observed.all() or not np.isfinite(fit.loglik):
         return problem, fit
     problem = problem._replace(chunks=problem.chunks._replace(counts=_until_last(np.asarray(scored))))
-    fit = evaluate(problem, fit.v, fit.groups)
+    now = _Begun(problem, evaluate(problem, fit.v, fit.groups))
     for _ in range(STEPS):
-        before = fit.loglik
-        problem, fit = _step(problem, fit, free)
-        if fit.loglik - before < SETTLED:
-            problem, fit = _scattered(problem, fit)
-        if fit.loglik - before < SETTLED:
+        before = now.fit.loglik
+        now = _step(now, free)
+        if now.fit.loglik - before < SETTLED:
+            now = _scattered(now)
+        if now.fit.loglik - before < SETTLED:
             break
+    problem, fit = now
     problem = problem._replace(chunks=chained(problem, fit.v)._replace(counts=scored))
     return problem, evaluate(problem, fit.v, fit.groups)
 
@@ -58,10 +60,43 @@ def _until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:
     return np.logical_or.accumulate(scored[:, ::-1], axis=1)[:, ::-1]
 
 
+class _Begun(NamedTuple):
+    """A problem whose segments begin with some unmeasured states, and a fit there."""
+
+    problem: Problem
+    fit: Fit
+
+    @property
+    def hidden(self) -> Bool[np.ndarray, " s"]:
+        return ~self.problem.augmented.layout.observed
+
+    @property
+    def usual(self) -> Float[np.ndarray, " k"]:
+        """Usual sizes of the unmeasured states."""
+        return np.asarray(self.problem.scales.output)[self.hidden]
+
+    def moved(self, moves: Float[np.ndarray, "C k"]) -> Problem:
+        """The problem whose segments begin that much further on."""
+        state = np.array(self.problem.chunks.state)
+        state[:, 0, self.hidden] += moves
+        return self.problem._replace(chunks=self.problem.chunks._replace(state=state))
+
+    def best_of(self, v: Variables, moves: Sequence[Float[np.ndarray, "C k"]]) -> "_Begun":
+        """With other variables, and each segment with the one of some moves of its start that pays most."""
+        counts, noise = np.asarray(self.problem.chunks.counts), self.fit.noise
+        segment, likely = np.nonzero(counts)[0], []
+        for move in moves:
+            (e,) = trials(self.moved(move), [v])
+            rows = np.bincount(segment, log_density(e, noise).sum(1), len(counts))
+            likely.append(np.nan_to_num(rows, nan=-np.inf) - 0.5 * ((move / self.usual) ** 2).sum(1))
+        problem = self.moved(np.stack(moves)[np.argmax(likely, axis=0), np.arange(len(counts))])
+        return _Begun(problem, evaluate(problem, v, self.fit.groups))
+
+
 class _Rows(NamedTuple):
     """Innovations and their derivatives, scaled by the roots of their weights, segment by segment.
 
-    by_start [C, k, m], by_rest [M, C, m]: by the segment's own starts, and by all that is free otherwise.
+    by_start, by_rest: by the segment's own starts, and by all that is free otherwise.
     """
 
     e: Float[np.ndarray, "C m"]
@@ -70,8 +105,7 @@ class _Rows(NamedTuple):
 
 
 def _rows(problem: Problem, fit: Fit, free: bool) -> _Rows:
-    counts = np.asarray(problem.chunks.counts)
-    outputs = fit.e.shape[1]
+    counts, outputs = np.asarray(problem.chunks.counts), fit.e.shape[1]
 
     def whole(scored: Float[np.ndarray, "... n o"]) -> Float[np.ndarray, "... C m"]:
         """Zero where a row does not count."""
@@ -91,11 +125,11 @@ def _rows(problem: Problem, fit: Fit, free: bool) -> _Rows:
     return _Rows(whole(fit.e * root), np.where(np.isfinite(slopes), slopes, 0.0), whole(rest * root))
 
 
-def _step(problem: Problem, fit: Fit, free: bool) -> tuple[Problem, Fit]:
+def _step(now: _Begun, free: bool) -> _Begun:
     """One step of the starts and of what else is free: the longest tried that gains, or none."""
+    problem, fit = now
     e, J, A = _rows(problem, fit, free)
-    usual = _usual(problem)
-    inverse = np.linalg.inv(J @ np.swapaxes(J, 1, 2) + np.diag(usual**-2.0))
+    inverse = np.linalg.inv(J @ np.swapaxes(J, 1, 2) + np.diag(now.usual**-2.0))
     delta = np.zeros(len(A))
     if free:
         _, precision = directions(problem, fit.groups)
@@ -107,46 +141,24 @@ def _step(problem: Problem, fit: Fit, free: bool) -> tuple[Problem, Fit]:
         gradient = gradient + precision * prior_offset(problem, fit.v, fit.groups)
         hessian = curvature + np.diag(precision)
         if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
-            return problem, fit
+            return now
         room = room_to_move(problem, fit.v, fit.groups)
         down, up = (np.where(np.diag(curvature) > 0, r, 0.0) for r in room)
         delta = lowest(hessian.astype(float), gradient.astype(float), down, up)
     moves = -np.einsum("ckl,clm,cm->ck", inverse, J, e + np.tensordot(delta, A, 1))
     for share in SHARES if free else (0.0,):
         v = step_from(problem, fit.v, fit.groups, share * delta) if free else fit.v
-        moved, tried = _best_of(problem, fit._replace(v=v), [part * moves for part in (*SHARES, 0.0)])
-        if tried.loglik > fit.loglik:
-            return moved, tried
-    return problem, fit
+        then = now.best_of(v, [part * moves for part in (*SHARES, 0.0)])
+        if then.fit.loglik > fit.loglik:
+            return then
+    return now
 
 
-def _scattered(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+def _scattered(now: _Begun) -> _Begun:
     """Starts of states that are `apart` at the best of some values around where they are, one state at a time: slopes
     there may lead nowhere, such as those of an empty tank."""
-    layout, usual = problem.augmented.layout, _usual(problem)
+    layout = now.problem.augmented.layout
     for k in np.flatnonzero(layout.apart[~layout.observed]):
-        along = np.eye(len(usual))[k] * usual
-        problem, fit = _best_of(problem, fit, [share * along for share in (0.0, *AROUND)])
-    return problem, fit
-
-
-def _best_of(problem: Problem, fit: Fit, moves: Sequence[Float[np.ndarray, "*C k"]]) -> tuple[Problem, Fit]:
-    """Each segment with the one of some moves of its start with which its own rows are likeliest."""
-    counts, hidden = np.asarray(problem.chunks.counts), ~problem.augmented.layout.observed
-    segment = np.nonzero(counts)[0]
-    states, likely = [], []
-    for move in moves:
-        state = np.array(problem.chunks.state)
-        state[:, 0, hidden] += move
-        states.append(state)
-        e = trials(problem._replace(chunks=problem.chunks._replace(state=state)), [fit.v])[0]
-        likely.append(np.bincount(segment, log_density(e, fit.noise).sum(1), len(counts)))
-    best = np.argmax(np.nan_to_num(likely, nan=-np.inf), axis=0)
-    chosen = np.stack(states)[best, np.arange(len(counts))]
-    problem = problem._replace(chunks=problem.chunks._replace(state=chosen))
-    return problem, evaluate(problem, fit.v, fit.groups)
-
-
-def _usual(problem: Problem) -> Float[np.ndarray, " k"]:
-    """Usual sizes of the unmeasured states."""
-    return np.asarray(problem.scales.output)[~problem.augmented.layout.observed]
+        along = np.tile(np.eye(len(now.usual))[k] * now.usual, (len(now.problem.chunks.row), 1))
+        now = now.best_of(now.fit.v, [share * along for share in (0.0, *AROUND)])
+    return now
