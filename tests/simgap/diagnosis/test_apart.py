@@ -1,11 +1,8 @@
 """An unmeasured state that shares no axis with a measured one: the level of a tank that drains into another one."""
 
-from dataclasses import dataclass
-
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array, Float
+from tanks import SCHEMA, Tanks, recorded
 
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.inference.starts import fitted_starts
@@ -16,61 +13,6 @@ from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.unmeasured import guessed
 from simgap.effects.augmented import Augmented
 from simgap.layout import Layout
-from simgap.types import Field, Parameter, Recording, Schema, Sessions
-
-ROWS, FINER, NOISE = 300, 40, 0.02
-UPPER, LOWER, PUMP = 0.05, 0.052, 0.055
-SCHEMA = Schema(
-    (
-        Field("lower", "V", "position", "world", "lower"),
-        Field("upper", "V", "position", "world", "upper", observed=False),
-    ),
-    (Field("pump", "V", "force", "world", "upper"),),
-)
-
-
-@dataclass(frozen=True)
-class Tanks:
-    """Levels [V] of two tanks: a pump fills the upper one, which drains into the lower one."""
-
-    schema: Schema = SCHEMA
-    parameters: tuple[Parameter, ...] = tuple(Parameter(n, "-", 0.02, 0.12, nominal=0.05) for n in ("a", "b", "c"))
-    time_step: float = 4.0
-
-    def step(self, params: Float[Array, " 3"], state: Float[Array, " 2"], command: Float[Array, " 1"]) -> Array:
-        """Four steps of the midpoint rule."""
-
-        def rates(levels: Array) -> Array:
-            upper, lower, pump = params
-            out = jnp.sqrt(jnp.maximum(levels, 1e-3)) * jnp.stack([lower, upper])
-            return jnp.stack([out[1] - out[0], pump * command[0] - out[1]])
-
-        h = self.time_step / 4
-        for _ in range(4):
-            state = state + h * rates(state + h / 2 * rates(state))
-        return state
-
-
-def session(rng: np.random.Generator, upper_full: float = np.inf, lower_full: float = np.inf) -> Recording:
-    """Both tanks, which may overflow, in steps far finer than a row."""
-    lower, upper, seen = 3.0, 3.0, []
-    command = np.repeat(rng.uniform(0, 8.5, ROWS // 20), 20)
-    for u in command:
-        seen.append((lower, upper))
-        for _ in range(FINER):
-            h = Tanks().time_step / FINER
-            through, out = UPPER * np.sqrt(upper), LOWER * np.sqrt(lower)
-            upper = float(np.clip(upper + h * (PUMP * u - through), 0.0, upper_full))
-            lower = float(np.clip(lower + h * (through - out), 0.0, lower_full))
-    time_s, state = Tanks().time_step * np.arange(ROWS), np.array(seen)
-    measured = state[:, :1] + NOISE * rng.standard_normal((ROWS, 1))
-    return Recording(f"session_{rng.integers(10**6)}", time_s, measured, command[:, None])
-
-
-def recorded(**full: float) -> Sessions:
-    rng = np.random.default_rng(0)
-    recordings = [session(rng, **full) for _ in range(4)]
-    return Sessions(recordings[:3], recordings[3:])
 
 
 def test_it_is_guessed_by_the_simulator_and_corrected_by_what_is_measured() -> None:
