@@ -19,7 +19,7 @@ from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relaxation import misfits
 from simgap.diagnosis.inference.select import search
-from simgap.diagnosis.inference.starts import fitted_starts
+from simgap.diagnosis.inference.starts import begun_anew
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
@@ -106,6 +106,7 @@ def explain(
     best, base = (best, None) if outlier_gain else _disturbed(asked, best, changes)
     report("searching for effects on the noise")
     problem, fit, _ = best.model
+    best = best._replace(unseen=begun_anew(problem._replace(chunks=best.unseen), fit, free=False)[0].chunks)
     if baseline:
         noise_terms = noise_effects_since(best.model, sessions, best.unseen)
     elif fit is not fit_before:
@@ -138,9 +139,9 @@ def _posed(
     problem = _tabulated(problem, before)
     nominal = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(nominal.e))
-    if before is None and not is_engine(simulator):
-        problem, fit = fitted_starts(problem, nominal)
-        unseen = fitted_starts(problem._replace(chunks=unseen), fit, free=False)[0].chunks
+    if before is None:
+        problem, fit = begun_anew(problem, nominal)
+        unseen = begun_anew(problem._replace(chunks=unseen), fit, free=False)[0].chunks
         nominal = evaluate(problem, nominal.v, ())
     return problem, nominal, unseen
 

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from simgap.diagnosis.inference.starts import begun_anew
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, rows_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -26,7 +27,11 @@ def by_row(without: Fit, with_it: Fit) -> Float[np.ndarray, " n"]:
 
 
 def gain(problem: Problem, unseen: Chunks, without: Fit, with_it: Fit) -> float:
-    """Gain in log-likelihood of held-out sessions [nats], with all constants as fitted."""
-    heldout = problem._replace(chunks=unseen)
-    before, after = (evaluate(heldout, f.v, (), f.noise).loglik for f in (without, with_it))
-    return after - before
+    """Gain in log-likelihood of held-out sessions [nats], with all constants as fitted. Unmeasured states begin where
+    either fit has them begin."""
+
+    def loglik(fit: Fit) -> float:
+        heldout, _ = begun_anew(problem._replace(chunks=unseen), fit, free=False)
+        return evaluate(heldout, fit.v, (), fit.noise).loglik
+
+    return loglik(with_it) - loglik(without)

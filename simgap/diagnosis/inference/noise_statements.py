@@ -51,7 +51,7 @@ def uneven_said(robot: Robot, training: Sample, f: Fitted) -> dict[str, Any]:
         "constants": [jitter], "outputs": robot.integrated,
         "shown": _spans(robot, several, training, shares / shares.sum(), f.mixture.noise, EVEN),
         "statement": "Rows are not evenly spaced in time: the time that they span has a standard deviation of "
-        f"{jitter['value']:.3f} s.",
+        f"{jitter['value']:.2g} s.",
     }  # fmt: skip
 
 

@@ -47,7 +47,8 @@ def explained(
         if before is not None and latest is not None:
             latest = latest._replace(unsettled=frozenset(latest.ids - before.ids))
     assert latest is not None  # there is a first pass
-    return behind_joints(confirmed(latest, report), report), sessions
+    latest = behind_joints(confirmed(latest, report), report)
+    return latest, _estimated(layout, latest, sessions)
 
 
 def _same(before: Explanation, latest: Explanation) -> bool:

@@ -12,6 +12,7 @@ from simgap.diagnosis.inference.alternatives import compared
 from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect, Spectrum
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
+from simgap.effects.sites import turning
 
 SEGMENT = 64
 """Rows per segment of the periodograms."""
@@ -64,7 +65,8 @@ def stepping(problem: Problem, fit: Fit, unseen: Chunks, before: Chunks | None) 
         for name, scale, of, (value, low, high) in
         (("amplitude", factor, unit, line.amplitude), ("frequency", hertz, "Hz", line.frequency))
     ]  # fmt: skip
-    what, like = ("joint", "") if problem.augmented.layout.jointed else ("body", ", as stepping does")
+    layout = problem.augmented.layout
+    what, like = "joint" if layout.jointed else "body", ", as stepping does" if turning(layout) else ""
     amplitude, frequency = (c["value"] for c in constants)
     sentence = (
         f"The {what} shakes periodically at {frequency:.2f} Hz, with an amplitude of about {amplitude:.2g} {unit}"

@@ -49,10 +49,10 @@ def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Proble
     return problem, evaluate(problem, fit.v, fit.groups)
 
 
-def begun_anew(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
-    """Both, with starts fitted together with the fit: what is searched for next must not make up for wrong ones. An
-    engine's tables hold only near the starts with which they were made, so with an engine nothing changes."""
-    return (problem, fit) if is_engine(problem.augmented.simulator) else fitted_starts(problem, fit)
+def begun_anew(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, Fit]:
+    """As `fitted_starts`, while fits are compared: none may make up for wrong starts. An engine's tables hold only near
+    the starts with which they were made, so with an engine nothing changes."""
+    return (problem, fit) if is_engine(problem.augmented.simulator) else fitted_starts(problem, fit, free)
 
 
 def _until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:

@@ -12,7 +12,7 @@ from simgap.diagnosis.likelihood.student_t import Noise
 from simgap.diagnosis.report.figures import binned
 from simgap.types import Field
 
-TOLD = 0.35
+CERTAIN = 0.35
 """A row is shown if its position between two hypotheses has at most this standard deviation."""
 FEWEST = 30
 """Minimum rows of a figure."""
@@ -44,7 +44,7 @@ def _between(
     """
     weights = direction / noise.scale**2
     length = (direction * weights).sum(1)
-    keep = length > TOLD**-2
+    keep = length > CERTAIN**-2
     if keep.sum() < FEWEST:
         return []
     at, *under = (((several[0] - e) * weights).sum(1)[keep] / length[keep] for e in (0 * direction, *several))
