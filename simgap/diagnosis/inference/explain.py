@@ -211,7 +211,8 @@ def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
         hypotheses = [*asked.throughout, *(h for i, s in enumerate(supports, 1) for h in _within(asked, s, i))]
         problem = best.problem._replace(chunks=opened(layout, best.problem.chunks, supports))
         trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
-        if not trial.members or (best.supports and not any(m.hypothesis.support == support for m in trial.members)):
+        in_vain = best.supports and not any(m.hypothesis.support == support for m in trial.members)
+        if not trial.members or in_vain or trial.model.density < best.model.density:
             return best
         best = trial
         if all(m.hypothesis.support == ALWAYS for m in best.members):

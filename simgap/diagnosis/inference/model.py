@@ -28,6 +28,11 @@ class Model(NamedTuple):
     fit: Fit
     nuisance: Float[np.ndarray, "M n s"]
 
+    @property
+    def density(self) -> float:
+        """Log-density of the innovations in their own units [nats], however they are decorrelated."""
+        return self.fit.loglik + len(self.fit.e) * float(np.linalg.slogdet(self.problem.whiten)[1])
+
 
 class Trial(NamedTuple):
     """A hypothesis with its constants fitted. gain: in log-likelihood over the model without it [nats].

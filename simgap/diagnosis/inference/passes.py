@@ -12,7 +12,7 @@ from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, settled
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relinearise import itself
-from simgap.diagnosis.inference.starts import fitted_starts
+from simgap.diagnosis.inference.starts import fitted_starts, led
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.likelihood.unmeasured import estimated, guessed
 from simgap.engines import Engine, is_engine
@@ -85,8 +85,7 @@ def _estimated(layout: Layout, explanation: Explanation, sessions: Sessions) -> 
     if layout.observed.all():
         return sessions
     problem, fit = explanation.problem, explanation.fit
-    # An engine's tables hold only near the fit.
-    fitting, fit = fitted_starts(problem, fit, free=not is_engine(problem.augmented.simulator))
+    fitting, fit = fitted_starts(problem, fit, free=led(problem))
     unseen, _ = fitted_starts(problem._replace(chunks=explanation.unseen), fit, free=False)
     fitted, heldout = estimated(fitting, fit.v, sessions.fitted), estimated(unseen, fit.v, sessions.heldout)
     first = len(sessions.baseline)

@@ -50,9 +50,18 @@ def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Proble
 
 
 def begun_anew(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, Fit]:
-    """As `fitted_starts`, while fits are compared: none may make up for wrong starts. An engine's tables hold only near
-    the starts with which they were made, so with an engine nothing changes."""
-    return (problem, fit) if is_engine(problem.augmented.simulator) else fitted_starts(problem, fit, free)
+    """As `fitted_starts`, before and while fits are compared: none may make up for starts that were guessed wrongly.
+
+    Only where starts are `led` by the model: the slope of a position is a good guess of its velocity that owes nothing
+    to the model. Fitted by a model that lacks something, such starts would hide that.
+    """
+    return fitted_starts(problem, fit, free) if led(problem) else (problem, fit)
+
+
+def led(problem: Problem) -> bool:
+    """Whether the model says where unmeasured states begin: those that are `apart`. An engine's tables hold only near
+    the starts with which they were made."""
+    return bool(problem.augmented.layout.apart.any()) and not is_engine(problem.augmented.simulator)
 
 
 def _until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:

@@ -27,7 +27,7 @@ def test_what_explains_all_there_is_has_its_name() -> None:
     "against",
     [
         {"misfit": np.log(450), "bending": 0.6, "nameless": 0.5},
-        {"gain": np.log(20), "lesser": np.log(50), "far": 0.0, "next_row": 0.0},
+        {"gain": np.log(20), "lesser": np.log(100), "far": 0.0, "next_row": 0.0},
         {"gain": np.log(20), "far": np.log(1.003), "next_row": 0.0, "nameless": 0.7},
     ],
     ids=[
