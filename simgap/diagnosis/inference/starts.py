@@ -16,7 +16,7 @@ from simgap.diagnosis.likelihood.directions import directions, prior_offset, roo
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.student_t import log_density, weights
-from simgap.diagnosis.likelihood.unmeasured import by_start, chained
+from simgap.diagnosis.likelihood.unmeasured import by_start, chained, sloped
 from simgap.engines import is_engine
 
 STEPS = 20
@@ -59,9 +59,10 @@ def begun_anew(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, 
 
 
 def led(problem: Problem) -> bool:
-    """Whether the model says where unmeasured states begin: those that are `apart`. An engine's tables hold only near
-    the starts with which they were made."""
-    return bool(problem.augmented.layout.apart.any()) and not is_engine(problem.augmented.simulator)
+    """Whether only the model says where some unmeasured states begin: no slope of a position does. An engine's tables
+    hold only near the starts with which they were made."""
+    layout = problem.augmented.layout
+    return len(sloped(layout)) < (~layout.observed).sum() and not is_engine(problem.augmented.simulator)
 
 
 def _until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:

@@ -20,6 +20,7 @@ from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.stepping import Given, next_state
 from simgap.engines import Engine, is_engine
+from simgap.layout import Layout
 from simgap.types import Recording, Sessions, StepModel
 
 SLOPE_ROWS = 2
@@ -39,13 +40,19 @@ def _guessed(augmented: Augmented, recording: Recording) -> Recording:
     count = int(layout.observed.sum())
     state = np.zeros((len(recording.state), len(layout.observed)))
     state[:, :count] = recording.state
-    for position, velocity in zip(layout.position.flat, layout.velocity.flat, strict=True):
-        if velocity >= count > position >= 0:
-            state[:, velocity] = _slopes(recording.time_s, state[:, position])
+    for position, velocity in sloped(layout):
+        state[:, velocity] = _slopes(recording.time_s, state[:, position])
     if layout.apart.any() and not is_engine(augmented.simulator):
         led = np.asarray(_led(augmented, jnp.asarray(state, jnp.float32), jnp.asarray(recording.command, jnp.float32)))
         state[:, layout.apart] = np.where(np.isfinite(led), led, 0.0)[:, layout.apart]
     return recording._replace(state=state)
+
+
+def sloped(layout: Layout) -> list[tuple[int, int]]:
+    """Measured positions whose slopes are the guess of unmeasured velocities, and these."""
+    count = int(layout.observed.sum())
+    pairs = zip(layout.position.flat, layout.velocity.flat, strict=True)
+    return [(int(p), int(v)) for p, v in pairs if v >= count > p >= 0]
 
 
 @partial(jax.jit, static_argnames="augmented")
