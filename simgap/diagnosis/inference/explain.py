@@ -19,7 +19,7 @@ from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relaxation import misfits
 from simgap.diagnosis.inference.select import search
-from simgap.diagnosis.inference.starts import begun_anew
+from simgap.diagnosis.inference.starts import begun_anew, fitted_starts, led
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
@@ -139,9 +139,9 @@ def _posed(
     problem = _tabulated(problem, before)
     nominal = evaluate(problem, start(problem), ())
     problem = problem._replace(whiten=whitening(nominal.e))
-    if before is None:
-        problem, fit = begun_anew(problem, nominal)
-        unseen = begun_anew(problem._replace(chunks=unseen), fit, free=False)[0].chunks
+    if before is None and led(problem):
+        problem, fit = fitted_starts(problem, nominal)
+        unseen = fitted_starts(problem._replace(chunks=unseen), fit, free=False)[0].chunks
         nominal = evaluate(problem, nominal.v, ())
     return problem, nominal, unseen
 
@@ -211,6 +211,7 @@ def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
         hypotheses = [*asked.throughout, *(h for i, s in enumerate(supports, 1) for h in _within(asked, s, i))]
         problem = best.problem._replace(chunks=opened(layout, best.problem.chunks, supports))
         trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
+        # The search may have taken a worse way than the one before.
         in_vain = best.supports and not any(m.hypothesis.support == support for m in trial.members)
         if not trial.members or in_vain or trial.model.density < best.model.density:
             return best

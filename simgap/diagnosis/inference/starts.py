@@ -27,16 +27,18 @@ AROUND = (-1.0, -0.3, -0.1, -0.03, 0.03, 0.1, 0.3, 1.0)
 
 def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, Fit]:
     """The problem with segments whose unmeasured states begin where the model leads them in the segment before; and the
-    fit's parameters and constants, if they are `free`. A problem without unmeasured states is unchanged.
+    fit's parameters and constants, if they are `free`. Unchanged without unmeasured states, or where the fit diverges.
 
     For this, all segments first begin where their own rows are likeliest, also those that are not scored. A step away
     from a start costs as much as from a prior of its usual size: one on which nothing measured depends stays.
     """
-    scored, layout = problem.chunks.counts, problem.augmented.layout
-    if layout.observed.all() or not np.isfinite(fit.loglik):
+    if problem.augmented.layout.observed.all():
         return problem, fit
-    problem = problem._replace(chunks=problem.chunks._replace(counts=_until_last(np.asarray(scored))))
-    now = _Begun(problem, evaluate(problem, fit.v, fit.groups))
+    scored = problem.chunks.counts
+    begun = problem._replace(chunks=problem.chunks._replace(counts=_until_last(np.asarray(scored))))
+    now = _Begun(begun, evaluate(begun, fit.v, fit.groups))
+    if not np.isfinite(now.fit.loglik):
+        return problem, fit
     for _ in range(STEPS):
         before = now.fit.loglik
         now = _step(now, free)
