@@ -52,10 +52,10 @@ def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Proble
 
 
 def begun_anew(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, Fit]:
-    """As `fitted_starts`, before and while fits are compared: none may make up for starts that were guessed wrongly.
+    """As `fitted_starts`, while fits are compared: otherwise an effect could gain by making up for wrong starts.
 
-    Only where starts are `led` by the model: the slope of a position is a good guess of its velocity that owes nothing
-    to the model. Fitted by a model that lacks something, such starts would hide that.
+    Nothing changes unless starts are `led` by the model. Slopes of positions are good guesses of velocities without any
+    model; starts fitted by a model that lacks an effect would hide that effect.
     """
     return fitted_starts(problem, fit, free) if led(problem) else (problem, fit)
 

@@ -82,7 +82,7 @@ def estimated(problem: Problem, v: Variables, recordings: Sequence[Recording]) -
     x = estimates(problem, v)
     x = np.where(np.isfinite(x), x, np.asarray(chunks.state)[:, :-1])
     states = [np.array(r.state) for r in recordings]
-    for chunk in np.flatnonzero(np.asarray(chunks.counts).any(1)):  # others only pad their number
+    for chunk in _recorded(chunks):
         first, state = chunks.row[chunk], states[chunks.session[chunk]]
         settled = RUN_IN if first else 0  # the run-in keeps the estimates of the segment before
         rows = np.arange(first + settled, min(first + x.shape[1], len(state)))
@@ -90,11 +90,16 @@ def estimated(problem: Problem, v: Variables, recordings: Sequence[Recording]) -
     return [r._replace(state=state) for r, state in zip(recordings, states, strict=True)]
 
 
+def _recorded(chunks: Chunks) -> list[int]:
+    """Segments with scored rows; the others only pad their number."""
+    return np.flatnonzero(np.asarray(chunks.counts).any(1)).tolist()
+
+
 def chained(problem: Problem, v: Variables) -> Chunks:
     """Segments whose unmeasured states begin with the estimates of the segment before, where there is one."""
     hidden, chunks = ~problem.augmented.layout.observed, problem.chunks
     x, state, last = estimates(problem, v), np.array(chunks.state), None
-    for chunk in np.flatnonzero(np.asarray(chunks.counts).any(1)):  # others only pad their number
+    for chunk in _recorded(chunks):
         rows = chunks.row[chunk] - chunks.row[last] if last is not None else 0
         if last is not None and chunks.session[chunk] == chunks.session[last] and rows < x.shape[1]:
             found = x[last, rows, hidden]
