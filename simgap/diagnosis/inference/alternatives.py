@@ -22,9 +22,9 @@ from simgap.diagnosis.inference.model import (
     settled,
 )
 from simgap.diagnosis.inference.null_distribution import blocks
+from simgap.diagnosis.inference.one_more import one_more
 from simgap.diagnosis.inference.posterior import means_another
 from simgap.diagnosis.inference.screening import Screening
-from simgap.diagnosis.inference.select import one_more
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density
 
@@ -97,13 +97,13 @@ def _rivals(hypothesis: Hypothesis, screening: Screening, hypotheses: Sequence[H
 def _better(
     reduced: Model, rivals: Sequence[Trial], own: Trial, holds_out: HeldOutCheck, required: float
 ) -> Trial | None:
-    """The best rival of another id that gains over 1 nat more than `own` and holds on held-out sessions.
+    """The best rival of another id with over 1 nat more evidence than `own`, if it holds on held-out sessions.
 
-    It must gain more than `own` at any other site too: if that gains most, the effect is right and may act at both.
+    It must have more than `own` at any other site too: if that has most, the effect is right and may act at both.
     """
     effect = own.hypothesis.effect.id
-    most = max([own.gain, *(t.gain for t in rivals if t.hypothesis.effect.id == effect)])
-    ahead = (t for t in rivals if t.gain > most + SETTLED and t.hypothesis.effect.id != effect)
+    most = max([own.evidence, *(t.evidence for t in rivals if t.hypothesis.effect.id == effect)])
+    ahead = (t for t in rivals if t.evidence > most + SETTLED and t.hypothesis.effect.id != effect)
     return next((t for t in ahead if holds_out(reduced.problem, t, required)), None)
 
 
@@ -131,7 +131,7 @@ def odds(problem: Problem, tried: Sequence[Trial]) -> dict[str, float]:
     best: dict[str, Trial] = {}
     for t in tried:
         current = best.get(t.hypothesis.effect.id)
-        if current is None or t.gain > current.gain:
+        if current is None or t.evidence > current.evidence:
             best[t.hypothesis.effect.id] = t
     rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
     lead, constants = tried[0].hypothesis.effect.id, {k: len(t.hypothesis.groups) for k, t in best.items()}

@@ -12,10 +12,10 @@ from simgap.diagnosis.hypotheses.support import ALWAYS, Window, at_start, elsewh
 from simgap.diagnosis.inference.alternatives import Member, member
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import Model, Reporter, Trial
+from simgap.diagnosis.inference.one_more import one_more
 from simgap.diagnosis.inference.onsets import with_support
 from simgap.diagnosis.inference.scan import scores, stretch, stretch_by_chance
 from simgap.diagnosis.inference.score_test import vary
-from simgap.diagnosis.inference.select import one_more
 from simgap.diagnosis.likelihood.problem import evaluate, trials
 from simgap.diagnosis.likelihood.segments import Rows, rows_of
 

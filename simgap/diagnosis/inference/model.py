@@ -59,6 +59,11 @@ class Trial(NamedTuple):
         return self.share * self.gain
 
     @property
+    def evidence(self) -> float:
+        """Gain [nats] beyond what as many constants gain by chance."""
+        return self.gain - cost_of([self.hypothesis], len(self.fit.e))
+
+    @property
     def promise(self) -> float:
         """Gain [nats] that it may have once its fit has converged.
 
@@ -105,6 +110,11 @@ def decorrelated(problem: Problem, fit: Fit) -> Model:
     """The model refitted with outputs that are decorrelated by its own residuals."""
     problem = problem._replace(whiten=whitening(fit.e @ np.linalg.inv(problem.whiten).T))
     return Model(problem, *optimise(problem, evaluate(problem, fit.v, fit.groups)))
+
+
+def cost_of(hypotheses: Sequence[Hypothesis], rows: int) -> float:
+    """What the hypotheses' constants cost next to their gain [nats]: log(rows) / 2 each [Schwarz 1978]."""
+    return 0.5 * sum(len(h.groups) for h in hypotheses) * float(np.log(rows))
 
 
 def absorbing(model: Model) -> Float[np.ndarray, "M n s"]:

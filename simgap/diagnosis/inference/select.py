@@ -1,12 +1,17 @@
-"""Forward selection of effects: one more at a time, while the best gains more than noise can explain."""
+"""Forward selection of effects: one more at a time, while the best gains more than noise can explain.
+
+Which effect comes first decides which others seem to be needed. So where another one is nearly as likely, a second
+search begins with that one, and the likelier end counts.
+"""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.config import LEAST_SHARE, LEVEL, MOST_EFFECTS, MOST_SITES, NEAR
+from simgap.diagnosis.config import LEAST_SHARE, MOST_EFFECTS, MOST_SITES
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, optimise, refine
+from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import (
     SETTLED,
     Found,
@@ -15,180 +20,57 @@ from simgap.diagnosis.inference.model import (
     Reporter,
     Round,
     Trial,
-    absorbing,
+    cost_of,
     decorrelated,
     least,
-    settled,
 )
-from simgap.diagnosis.inference.null_distribution import short
-from simgap.diagnosis.inference.posterior import means_another
-from simgap.diagnosis.inference.relaxation import room
+from simgap.diagnosis.inference.one_more import FINALISTS, one_more
 from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
-from simgap.diagnosis.inference.score_test import screen, vary
-from simgap.diagnosis.inference.screening import Screened
 from simgap.diagnosis.inference.starts import begun_anew
-from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
-from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.engines import is_engine
-from simgap.threads import THREADS, side_by_side
-
-FITTED = 10
-"""Hypotheses that get a first fit in a round, at most."""
-HOPELESS = 0.1
-"""Share of the best gain so far that a hypothesis must be expected to gain to get a first fit."""
-FINALISTS = 4
-"""Hypotheses whose fit is continued, at most."""
-CONTENDER = 0.5
-"""Share of the best gain that a hypothesis must gain, or be expected to gain, to be fitted to convergence."""
-SHARES = tuple(np.geomspace(1, 0.02, 8))
-"""Shares of the amplitude that the screening expects at which a fit may start."""
 
 
-def one_more(
-    model: Model,
-    hypotheses: Sequence[Hypothesis],
-    rng: np.random.Generator,
-    report: Reporter,
-    found: Sequence[Hypothesis] = (),
-    own: Trial | None = None,
-) -> Round:
-    """Screen all hypotheses, fit the most promising, and fit the best of those to convergence.
+class _Asked(NamedTuple):
+    """The constant inputs of a search."""
 
-    found: the effects in the model; misfit of their laws is allowed for. own: a hypothesis that is fitted already,
-    because it holds the place that the others compete for.
+    hypotheses: Sequence[Hypothesis]
+    holds_out: HeldOutCheck
+    rng: np.random.Generator
+    report: Reporter
+
+
+class _Way(NamedTuple):
+    """A search on its way. base: fit without effects; without: fit of the model so far, which later gains are over.
+
+    released: the problem with the parameters free; refitted: whether they are, in the model.
     """
-    problem, fit, _ = model
-    taken = {(entry, group.support) for group in fit.groups for entry in group.entries}
-    free = [c for c in hypotheses if not taken & {(e, g.support) for g in c.groups for e in g.entries}]
-    free = [c for c in free if not any(_of_one_kind(c, other) for other in found)]
-    absorbed = absorbing(model)
-    allowance = room(model, absorbed, found)
-    screening = screen(problem, fit, allowance.whole, free, rng)
-    report(f"{len(free)} hypotheses tested: p = {screening.p_value:.4f}")
-    incumbent = [allowance.judged(own)] if own else []
-    if screening.p_value > (NEAR if short(np.asarray(problem.chunks.counts)) else LEVEL):
-        return Round(screening, incumbent, screening.p_value)
-    held = hold(fit, absorbed)
-    likely = [s for s in promising(screening.found) if s.hypothesis.name not in {t.hypothesis.name for t in incumbent}]
-    tried: list[Trial] = []
-    for batch in _at_once(likely):
-        best = max([t.gain for t in (*incumbent, *tried)], default=0.0)
-        batch = [s for s in batch if s.gain >= HOPELESS * best]
-        first_fits = side_by_side(lambda s: _try(problem, fit, held, s, 3), batch)
-        tried += [t for t in first_fits if np.isfinite(t.gain)]
-    tried.sort(key=lambda t: -t.promise)
-    finalists = side_by_side(lambda t: t.further(lambda f: refine(problem, f, held, HELD)), tried[:FINALISTS])
-    others, tried = tried[FINALISTS:], []
-    for batch in _at_once(sorted(finalists, key=lambda t: -t.promise)):
-        best = max(t.gain for t in (*incumbent, *finalists, *tried))
-        tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, batch)
-    judged = [allowance.judged(t) for t in (*tried, *others)]
-    p_values = [screening.p_value_of_fit(t.hypothesis.name, t.beyond) for t in judged]
-    if screening.p_value > LEVEL:  # then a fit has to pass by itself
-        judged = [t for t, p_value in zip(judged, p_values, strict=True) if p_value <= LEVEL]
-    judged = [t for t in judged if not means_another(problem, t.fit, t.hypothesis)]
-    judged = [t for t in judged if not _extends_in_vain(t, [*incumbent, *judged])]
-    tried = sorted([*incumbent, *judged], key=lambda t: -t.gain)
-    report("tried " + ", ".join(f"{t.hypothesis.name} {t.gain:+.1f}" for t in tried[:4]) + " nats" if tried else
-        "fitted, they gain no more than noise alone")  # fmt: skip
-    return Round(screening, tried, min([screening.p_value, *p_values]))
+
+    base: Fit
+    model: Model
+    without: Fit
+    released: Problem
+    refitted: bool
+    chosen: tuple[Hypothesis, ...] = ()
+    rounds: tuple[Round, ...] = ()
+
+    @property
+    def found(self) -> Found:
+        """Its result."""
+        return Found(self.base, self.model, list(self.chosen), list(self.rounds))
+
+    @property
+    def evidence(self) -> float:
+        """Of the model so far [nats]."""
+        return self.model.density - cost_of(self.chosen, len(self.without.e))
 
 
-def _at_once(ordered: Sequence) -> list[Sequence]:
-    """Batches of `THREADS`, in order."""
-    return [ordered[first : first + THREADS] for first in range(0, len(ordered), THREADS)]
+class _Step(NamedTuple):
+    """What may be added to a search on its way: the hypotheses of a round that gain enough, the likeliest first."""
 
-
-def _contends(t: Trial, best: float) -> bool:
-    """Whether a hypothesis may gain as much as the best. One with basins needs less: it may still be in a poor one."""
-    return t.promise >= (HOPELESS if t.hypothesis.effect.basins else CONTENDER) * best
-
-
-def _of_one_kind(one: Hypothesis, other: Hypothesis) -> bool:
-    """Whether they are two laws of one kind of friction, at one place: together they would only mend their forms."""
-    kinds = {c.effect.extends or c.effect.id for c in (one, other)}
-    related = len(kinds) == 1 and (one.effect.extends or other.effect.extends)
-    return bool(related) and one.effect is not other.effect and not {*one.outputs}.isdisjoint(other.outputs)
-
-
-def _extends_in_vain(t: Trial, tried: Sequence[Trial]) -> bool:
-    """Whether a simpler law, which this one extends, gains as much, but for what further constants gain by chance and
-    what may only reflect misfit."""
-    effect = t.hypothesis.effect
-    simpler = [o for o in tried if o.hypothesis.effect.id == effect.extends and o.hypothesis.effect is not effect]
-    margin = lambda o: 0.5 * (len(t.hypothesis.groups) - len(o.hypothesis.groups)) * np.log(len(t.fit.e))  # noqa: E731
-    return any(t.gain < (o.gain + margin(o)) / (1 - LEAST_SHARE) for o in simpler)
-
-
-def _to_its_end(problem: Problem, t: Trial) -> Trial:
-    """Fit to convergence. An effect with basins is also fitted from every start beyond its current value.
-
-    These fits use derivatives at the start itself. The current derivatives do not lead on from there, nor do parameters
-    that were fitted in another basin.
-    """
-    converged = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
-    if t.hypothesis.effect.basins:
-        group = t.hypothesis.groups[0]
-        current = value_of(t.fit.v, group)
-        for start in (s for s in t.hypothesis.starts if s[0] > current):
-            initial = evaluate(problem, vary(t.without.v, t.hypothesis, start), t.fit.groups, t.without.noise)
-            if np.isfinite(initial.loglik):
-                converged.append(t.further(lambda _, initial=initial: optimise(problem, initial, settled(t.gain))[0]))
-    return max(converged, key=lambda end: end.gain)
-
-
-def promising(found: Sequence[Screened]) -> list[Screened]:
-    """The best two hypotheses of each effect, best first, each at the start that gains most as it stands.
-
-    The direction that gains most may be that of a limit that is far too tight, which no share of its constant has.
-    """
-    chosen: list[Screened] = []
-    seen: set[tuple[str, bool, str]] = set()
-    for s in found:
-        key = (s.hypothesis.effect.key, bool(s.hypothesis.twin))
-        name = (*key, s.hypothesis.where)
-        if s.gain < 2 or name in seen:
-            continue
-        if sum((c.hypothesis.effect.key, bool(c.hypothesis.twin)) == key for c in chosen) < 2:
-            starts = [o for o in found if o.hypothesis is s.hypothesis and o.constant == s.constant]
-            starts = [o for o in starts if o.gain >= CONTENDER * s.gain]
-            chosen.append(s._replace(start=max(starts, key=lambda o: o.as_it_stands).start))
-            seen.add(name)
-        if len(chosen) == FITTED:
-            break
-    return chosen
-
-
-def _try(problem: Problem, fit: Fit, held: Held, s: Screened, iterations: int) -> Trial:
-    """First fit of a screened hypothesis, and of the model without it: that has its twin, if there is one."""
-    v = _highest(problem, fit, s)
-    twin = tuple(g for g in s.hypothesis.twin if g not in fit.groups)
-    initial = evaluate(problem, v, (*fit.groups, *twin, *s.hypothesis.groups), fit.noise)
-    with_it, without = refine(problem, initial, held, iterations), fit
-    if twin:
-        with_twin = vary(fit.v, s.hypothesis._replace(groups=s.hypothesis.twin), s.start)
-        initial = evaluate(problem, with_twin, (*fit.groups, *twin), fit.noise)
-        without = max(fit, refine(problem, initial, held, iterations + HELD), key=lambda f: f.loglik)
-    return Trial.of(s.hypothesis, with_it, without, s.gain)
-
-
-def _highest(problem: Problem, fit: Fit, s: Screened) -> Variables:
-    """The constants with the greatest likelihood among several.
-
-    For jagged laws, whose derivatives lead nowhere, they lie near the start. For others they lie between zero and the
-    start, because the amplitude that the screening expects may be beyond the maximum.
-    """
-    constants = s.hypothesis.effect.constants
-    if s.hypothesis.effect.jagged:
-        tried = [tuple(c * share for c in s.start) for share in np.linspace(0.9, 1.1, 36)]
-    else:
-        tried = [
-            tuple(c if k.shapes else c * share for k, c in zip(constants, s.start, strict=True)) for share in SHARES
-        ]
-    vs = [vary(fit.v, s.hypothesis, constants) for constants in tried]
-    logliks = [log_density(e, fit.noise).sum() for e in trials(problem, vs)]
-    return vs[int(np.argmax(np.nan_to_num(logliks, nan=-np.inf)))]
+    way: _Way
+    current: Round
+    eligible: list[Trial]
 
 
 def search(
@@ -204,39 +86,74 @@ def search(
     An engine is first searched with its parameters held: fitted while an effect is missing, they go far and hide
     it. Every gain is over fitted parameters.
     """
-    held_problem = standing(problem)
+    asked, held_problem = _Asked(hypotheses, holds_out, rng, report), standing(problem)
     model = decorrelated(held_problem, optimise(held_problem, fit)[0])
-    free_problem, without = relinearised(model.problem, model.fit)
-    base, chosen, rounds, refitted = without, [], [], without.loglik - model.fit.loglik < SETTLED
-    while len({c.effect.id for c in chosen}) < MOST_EFFECTS and len(chosen) < MOST_SITES:
-        current = one_more(model, hypotheses, rng, report, chosen)
-        required = current.screening.threshold / 2
-        eligible = [t for t in current.tried if t.beyond > max(required, least(model.problem, base, model.fit, t.fit))]
-        if is_engine(problem.augmented.simulator):
-            eligible = eligible[:FINALISTS]  # each takes further tables
-        best = None
-        for t in eligible:
-            retabulated, best = carried_on(model.problem, t, without)
-            gains = best is t or best.beyond > max(required, least(retabulated, base, without, best.fit))
-            if gains and holds_out(retabulated, best, required):
-                model = decorrelated(*begun_anew(for_all(retabulated, best.fit.v), best.fit))
-                break
-            report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions" if gains else
-                f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")  # fmt: skip
-            best = None
-        refitted, again = True, not refitted
-        if best is None and again:
-            model = decorrelated(for_all(free_problem, without.v), without)
-            without = model.fit
-            base = base if chosen else without
+    released, without = relinearised(model.problem, model.fit)
+    begun = _Way(without, model, without, released, without.loglik - model.fit.loglik < SETTLED)
+    end, opening = _to_the_end(asked, begun)
+    other = opening and _other_opening(opening, end)
+    instead = other and _added(asked, other)
+    if instead is None:
+        return end.found
+    second, _ = _to_the_end(asked, instead)
+    ahead = second.evidence - end.evidence
+    report(f"a search that begins with {instead.chosen[0].name} ends with a model of {ahead:+.1f} nats")
+    return second.found if ahead > SETTLED else end.found
+
+
+def _to_the_end(asked: _Asked, way: _Way) -> tuple[_Way, _Step | None]:
+    """Add effects while there are some to add. Also returns the step that added the first one."""
+    opening = None
+    while len({c.effect.id for c in way.chosen}) < MOST_EFFECTS and len(way.chosen) < MOST_SITES:
+        step = _next_step(asked, way)
+        after = _added(asked, step)
+        if after is None and way.refitted:
+            return way._replace(rounds=(*way.rounds, step.current)), opening
+        if after is None:
+            model = decorrelated(for_all(way.released, way.without.v), way.without)
+            way = way._replace(base=model.fit, model=model, without=model.fit, refitted=True)
+        else:
+            way, opening = after, opening or step
+    return way, opening
+
+
+def _next_step(asked: _Asked, way: _Way) -> _Step:
+    """Fit what may be added."""
+    current = one_more(way.model, asked.hypotheses, asked.rng, asked.report, way.chosen)
+    now, problem = way.model.fit, way.model.problem
+    required = current.screening.threshold / 2
+    eligible = [t for t in current.tried if t.beyond > max(required, least(problem, way.base, now, t.fit))]
+    if is_engine(problem.augmented.simulator):
+        eligible = eligible[:FINALISTS]  # each takes further tables
+    return _Step(way, current, eligible)
+
+
+def _added(asked: _Asked, step: _Step) -> _Way | None:
+    """The search after the first eligible effect that holds, if one does."""
+    way, current, eligible = step
+    required = current.screening.threshold / 2
+    for t in eligible:
+        retabulated, best = carried_on(way.model.problem, t, way.without)
+        if best is not t and best.beyond <= max(required, least(retabulated, way.base, way.without, best.fit)):
+            asked.report(f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")
             continue
-        if best is None:
-            rounds.append(current)
-            break
+        if not asked.holds_out(retabulated, best, required):
+            asked.report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions")
+            continue
+        asked.report(f"added {best.hypothesis.name} ({best.gain:+.1f} nats)")
+        model = decorrelated(*begun_anew(for_all(retabulated, best.fit.v), best.fit))
         # The accepted hypothesis comes first: its rivals are compared with it.
         tried = [best, *(t for t in current.tried if t.hypothesis is not best.hypothesis)]
-        rounds.append(current._replace(tried=tried, accepted=best.hypothesis.name))
-        chosen.append(best.hypothesis)
-        report(f"added {best.hypothesis.name} ({best.gain:+.1f} nats)")
-        without = model.fit
-    return Found(base, model, chosen, rounds)
+        accepted = current._replace(tried=tried, accepted=best.hypothesis.name)
+        return way._replace(model=model, without=model.fit, refitted=True,
+            chosen=(*way.chosen, best.hypothesis), rounds=(*way.rounds, accepted))  # fmt: skip
+    return None
+
+
+def _other_opening(opening: _Step, end: _Way) -> _Step | None:
+    """The step with the likeliest effect of another id alone, if several effects are needed, and it is so near to the
+    one taken that the difference may only reflect misfit of the laws."""
+    taken = next(t for t in opening.eligible if t.hypothesis is end.chosen[0])
+    others = [t for t in opening.eligible if t.hypothesis.effect.id != taken.hypothesis.effect.id]
+    near = [t for t in others if t.evidence >= taken.evidence - LEAST_SHARE * taken.gain]
+    return opening._replace(eligible=near[:1]) if near and len(end.chosen) > 1 else None

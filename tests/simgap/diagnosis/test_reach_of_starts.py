@@ -7,7 +7,7 @@ from test_ranges import driven
 
 from examples.drive import Drive
 from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.select import one_more
+from simgap.diagnosis.inference.one_more import one_more
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS
 from simgap.types import Recording

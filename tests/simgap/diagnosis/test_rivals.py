@@ -21,8 +21,8 @@ from simgap.types import Sessions
 SATURATED, DELAYED = ("saturation", 50.0), ("sensor_delay", 40.0)
 
 
-def trial(effect: str, gain: float) -> Any:
-    return SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id=effect)), gain=gain)
+def trial(effect: str, evidence: float) -> Any:
+    return SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id=effect)), evidence=evidence)
 
 
 @pytest.mark.parametrize(

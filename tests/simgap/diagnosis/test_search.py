@@ -11,8 +11,8 @@ from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import From, Window
 from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.heldout import agrees
+from simgap.diagnosis.inference.one_more import promising
 from simgap.diagnosis.inference.screening import Screened
-from simgap.diagnosis.inference.select import promising
 from simgap.diagnosis.likelihood.problem import value_of
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.effects import CATALOGUE
