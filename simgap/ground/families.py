@@ -163,8 +163,9 @@ def _leak(rng: np.random.Generator, size: float, row: float, rate: float) -> Law
 
 def _fading(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     within = row * rng.uniform(180, 250)
-    # No faster than 0.7 a minute, in which the vocabulary's own has no more than 1.
-    return Fading(rng.choice([-1, 1]) * min(size, 0.7 * within / 60), within)
+    # Nearly as fast as the vocabulary's own can be, 1 a minute: sessions are short, and slower ones do not show.
+    most = 0.7 * within / 60
+    return Fading(rng.choice([-1, 1]) * most * np.tanh(4 * size / most), within)
 
 
 def _sensor_scale(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
