@@ -42,8 +42,9 @@ class Case(NamedTuple):
     """A case: machine, what it lacks (names of families), sessions, and how much that shows.
 
     strength: half the squared change of the next row that the laws make, in units of the noise and of what changes the
-    velocities at random, summed over the fitted rows and the outputs [nats]: what a perfect observer would gain who
-    knew state and laws. Of velocities that are not recorded, only what they change in their own row counts.
+    velocities at random, and half the squared error of what sensors show, in units of the noise, summed over the fitted
+    rows and the outputs [nats]: what a perfect observer would gain who knew state and laws. Of states that are not
+    recorded, only what they change in their own row counts.
     """
 
     number: int
@@ -77,33 +78,42 @@ def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]
     drawn = int(rng.integers(2**32))
     count, rows = BRIEF if rng.random() < SHARE_BRIEF else USUAL
     share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
-    clean, shaken = [], np.zeros(machine.velocities)
+    clean, shaken = [], np.zeros(len(machine.velocities))
     for session in range(count):
         # The same laws in all sessions, but for what is random in time.
         laws = [_law(machine, f, s, rate, np.random.default_rng([drawn, i]))
                 for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
         for law in laws:
             law.begin(np.random.default_rng([drawn, len(laws), session]))
-        command, shakes = _commands(machine, rng, rows), rng.standard_normal((WARM + rows, machine.velocities))
+        command, shakes = _commands(machine, rng, rows), rng.standard_normal((WARM + rows, len(shaken)))
         if session == 0 and share:
             calm = _simulated(machine, params, [], command, shakes * 0)
-            shaken = share * np.std(np.diff(calm.state[:, machine.positions :], axis=0), 0)
+            # `take` keeps rows together: a sum in another order is another case.
+            shaken = share * np.std(np.diff(np.take(calm.state, machine.velocities, 1), axis=0), 0)
         clean.append(_simulated(machine, params, laws, command, shakes * shaken))
     scale = np.exp(rng.uniform(*np.log(NOISE))) * np.std(np.concatenate([np.diff(c.state, axis=0) for c in clean]), 0)
     tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
     recordings = [_measured(f"session_{i:02d}", machine, c, scale, tails, rng) for i, c in enumerate(clean)]
     fitted = int(FITTED * count)
-    changed = np.concatenate([c.changed for c in clean[:fitted]])
-    random = np.hypot(scale, np.concatenate([np.zeros(machine.positions), shaken]))
-    observed = np.array([f.observed for f in machine.schema.state])
-    strength = float(0.5 * ((changed / random)[:, observed] ** 2).sum())
     sessions = Sessions(recordings[:fitted], recordings[fitted:])
+    strength = _strength(machine, clean[:fitted], scale, np.hypot(scale, machine.of_velocities(shaken)))
     return Case(number, machine, kind, families, tails, sessions, strength)
 
 
+def _strength(
+    machine: Machine, clean: Sequence["_Clean"], scale: Float[np.ndarray, " s"], random: Float[np.ndarray, " s"]
+) -> float:
+    """How much laws show. scale: of the noise; random: of this and of what changes the velocities at random."""
+    observed = np.array([f.observed for f in machine.schema.state])
+    changed = np.concatenate([c.changed for c in clean]) / random
+    misread = np.concatenate([c.shown - c.state for c in clean]) / scale
+    return float(0.5 * (changed[:, observed] ** 2).sum() + 0.5 * (misread[:, observed] ** 2).sum())
+
+
 def _families(kind: str, machine: Machine, rng: np.random.Generator) -> tuple[str, ...]:
-    within = [f for f in FAMILIES if names_of(f, machine.name)]
-    outside = [f for f in FAMILIES if f not in within]
+    possible = [name for name, family in FAMILIES.items() if machine.name in family.machines]
+    within = [f for f in possible if names_of(f, machine.name)]
+    outside = [f for f in possible if f not in within]
     if kind == "nothing":
         return ()
     if kind == "two":
@@ -111,16 +121,17 @@ def _families(kind: str, machine: Machine, rng: np.random.Generator) -> tuple[st
     if kind == "mixed":
         return (str(rng.choice(within)), str(rng.choice(outside)))
     if kind == "many":
-        return tuple(map(str, rng.choice(list(FAMILIES), rng.integers(MANY[0], MANY[1] + 1), replace=False)))
+        return tuple(map(str, rng.choice(possible, rng.integers(MANY[0], MANY[1] + 1), replace=False)))
     return (str(rng.choice(within if kind == "within" else outside)),)
 
 
 def _law(machine: Machine, family: str, size: float, rate: float, rng: np.random.Generator) -> Law:
     """A law of the family, along some axes of the machine and with a strength that may vary."""
     law = FAMILIES[family].draw(rng, size, machine.time_step, rate)
-    axes = np.ones(machine.velocities)
+    count = len(machine.velocities)
+    axes = np.ones(count)
     if rng.random() > EVERYWHERE:
-        axes = np.eye(machine.velocities)[rng.integers(machine.velocities)]
+        axes = np.eye(count)[rng.integers(count)]
     depth = 0.0 if rng.random() < STRAIGHT else rng.uniform(0, BENDS[0])
     return Uneven(law, axes, depth, rng.uniform(0.5, BENDS[1]), rng.uniform(0, 2 * np.pi))
 
@@ -134,7 +145,7 @@ def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
     """Acceleration per unit of command, at rest."""
     nil = np.zeros(len(machine.schema.state))
     command = np.eye(len(machine.schema.command))[0]
-    q, v = nil[: machine.positions], nil[machine.positions :]
+    q, v = nil[machine.positions], nil[machine.velocities]
     at = [np.array(machine.acceleration(np, params, q, v, u)) for u in (command, 0 * command)]
     return float(np.abs(at[0] - at[1]).max())
 
@@ -162,9 +173,10 @@ def _commands(machine: Machine, rng: np.random.Generator, rows: int) -> Float[np
 
 
 class _Clean(NamedTuple):
-    """Noise-free states, the commands, and what the laws changed in each row."""
+    """Noise-free states, what sensors show of them, the commands, and what the laws changed in each row."""
 
     state: Float[np.ndarray, "T s"]
+    shown: Float[np.ndarray, "T s"]
     command: Float[np.ndarray, "T u"]
     changed: Float[np.ndarray, "T s"]
 
@@ -177,24 +189,28 @@ def _simulated(
     shakes: Float[np.ndarray, "T v"],
 ) -> _Clean:
     """A session of the machine from rest, without the rows before its recording begins. shakes: of the velocities."""
-    h, n = machine.time_step / FINER, machine.positions
+    h, positions, velocities = machine.time_step / FINER, machine.positions, machine.velocities
     state = np.zeros(len(machine.schema.state))
-    states, changes = [], []
+    states, readings, changes = [], [], []
     for sent, shake in zip(command, shakes, strict=True):
+        shown = state.copy()
+        for law in laws:
+            shown[velocities] = law.read(shown[velocities], machine.time_step)
         states.append(state)
+        readings.append(shown)
         plain = state
         for _ in range(FINER):
             arrives = sent
             for law in laws:
                 arrives = law.command(arrives, h)
-            q, v = state[:n], state[n:]
-            pushed = sum((law.push(q, v, arrives, h) for law in laws), np.zeros(len(v)))
+            v = state[velocities]
+            pushed = sum((law.push(state[positions], v, arrives, h) for law in laws), np.zeros(len(v)))
             state = _after(machine, params, state, arrives, h, pushed)
             plain = _after(machine, params, plain, sent, h, np.zeros(len(v)))
         changes.append(state - plain)
-        state = state + np.concatenate([np.zeros(n), shake])
+        state = state + machine.of_velocities(shake)
     kept = slice(WARM, None)
-    return _Clean(np.array(states)[kept], command[kept], np.array(changes)[kept])
+    return _Clean(np.array(states)[kept], np.array(readings)[kept], command[kept], np.array(changes)[kept])
 
 
 def _after(
@@ -218,13 +234,13 @@ def _measured(
     tails: str,
     rng: np.random.Generator,
 ) -> Recording:
-    shape = clean.state.shape
+    shape = clean.shown.shape
     if tails == "quantised":
         step = 2 * np.where(scale > 0, scale, 1.0)
-        state = step * np.round((clean.state + 0.3 * scale * rng.standard_normal(shape)) / step)
+        state = step * np.round((clean.shown + 0.3 * scale * rng.standard_normal(shape)) / step)
     else:
         drawn = {"gaussian": rng.standard_normal, "student_t": lambda s: rng.standard_t(4, s) / np.sqrt(2),
                  "laplace": lambda s: rng.laplace(0, np.sqrt(0.5), s)}[tails](shape)  # fmt: skip
-        state = clean.state + scale * drawn
+        state = clean.shown + scale * drawn
     observed = [f.observed for f in machine.schema.state]
     return Recording(name, machine.time_step * np.arange(shape[0]), state[:, observed], clean.command)

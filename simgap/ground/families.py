@@ -9,15 +9,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simgap.ground.laws import Bristles, Gusts, Late, Law, Play, Push, Ringing, Slow, Static, Tired
+from simgap.ground.laws import Bristles, Fading, Gusts, Late, Law, Play, Push, Ringing, Slow, Static, Tired
+from simgap.ground.machines import MACHINES
+from simgap.ground.readings import Curve, Offset, Old
+
+ALL = tuple(m.name for m in MACHINES)
+HELD = ("servo", "servo_positions", "arm", "arm_positions")
+"""Machines that servos hold at a commanded position."""
+STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair", "pair_left")
+"""Machines whose bodies keep their place."""
+READ = tuple(m.name for m in MACHINES if all(f.observed for f in m.schema.state))
+"""Machines that record the speeds of all their axes."""
+JOINED = tuple(m.name for m in MACHINES if len(m.schema.command) > 1)
+"""Machines with a command for each of several axes."""
 
 
 class Family(NamedTuple):
     """A kind of missing physics: the effects that name it rightly, and how one of it is drawn, `draw(rng, size, row,
-    rate)`. row: length of a row [s]; rate: the machine's acceleration per unit of command [1/s^2]."""
+    rate)`. row: length of a row [s]; rate: the machine's acceleration per unit of command [1/s^2]. machines: those that
+    can have it."""
 
     names: frozenset[str]
     draw: Callable[[np.random.Generator, float, float, float], Law]
+    machines: tuple[str, ...] = ALL
 
 
 def _friction(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
@@ -131,6 +145,49 @@ def _bristles(rng: np.random.Generator, size: float, row: float, rate: float) ->
     return Bristles(size * rate, rng.uniform(0.1, 0.6), rng.uniform(0.5, 2))
 
 
+def _stretched(rng: np.random.Generator, size: float) -> Callable[[np.ndarray], np.ndarray]:
+    """What a factor off by a share of `size` adds: a little less where that is large."""
+    share, bend = rng.choice([-1, 1]) * size, rng.uniform(2, 6)
+    return lambda x: share * bend * np.tanh(x / bend)
+
+
+def _gain(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    added = _stretched(rng, size)
+    return Static(lambda u: u + added(u))
+
+
+def _leak(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    added, side = _stretched(rng, size), rng.choice([-1, 1])
+    return Static(lambda u: u + added(np.roll(u, side)))
+
+
+def _fading(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    within = row * rng.uniform(180, 250)
+    # Nearly as fast as the vocabulary's own can be, 1 a minute: sessions are short, and slower ones do not show.
+    most = 0.7 * within / 60
+    return Fading(rng.choice([-1, 1]) * most * np.tanh(4 * size / most), within)
+
+
+def _sensor_scale(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    added = _stretched(rng, size)
+    return Curve(lambda v: v + added(v))
+
+
+def _sensor_bias(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    return Offset(rng.choice([-1, 1]) * size, rng.uniform(0, 0.3), row * rng.uniform(20, 200))
+
+
+def _old_reading(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    age = row * np.clip(10 * size, 0.3, 3)
+    return Old(age, rng.uniform(0, 0.3) * age)
+
+
+def _rectified(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    """Of speeds of one sign a sensor shows less, nothing, or the other sign."""
+    share, side = 4 * size, rng.choice([-1, 1])
+    return Curve(lambda v: v - share * side * np.maximum(side * v, 0.0))
+
+
 def _named(*names: str) -> frozenset[str]:
     return frozenset(names)
 
@@ -158,20 +215,30 @@ FAMILIES: dict[str, Family] = {
     "tired": Family(_named(), _tired),
     "gusts": Family(_named(), _gusts),
     "bristles": Family(_named(), _bristles),
+    # Elsewhere a parameter scales the command alone.
+    "gain": Family(_named("gain"), _gain, (*HELD, "base")),
+    "leak": Family(_named(), _leak, JOINED),
+    "fading": Family(_named("gain_drift"), _fading),
+    "sensor_scale": Family(_named("sensor_scale"), _sensor_scale, READ),
+    "sensor_bias": Family(_named("sensor_bias"), _sensor_bias, READ),
+    "old_reading": Family(_named("sensor_delay"), _old_reading, READ),
+    "rectified": Family(_named(), _rectified, READ),
 }
-HELD = ("servo", "servo_positions", "arm", "arm_positions")
-"""Machines that servos hold at a commanded position."""
-STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair")
-"""Machines whose bodies keep their place."""
 EQUIVALENT = {
     **{(machine, "bias"): _named("sensor_bias") for machine in HELD},
     **{(machine, "hardening"): _named("nonlinear_spring") for machine in STAYING},
     **{(machine, "bristles"): _named("hysteresis") for machine in STAYING},
     **{(machine, family): _named("stribeck_friction") for machine in STAYING for family in ("friction", "stribeck")},
     **{(machine, "under_load"): _named("load_friction") for machine in STAYING if machine not in HELD},
+    **{(machine, "gain"): _named("sensor_scale") for machine in ("servo", "servo_positions")},
+    **{(machine, "sensor_scale"): _named("sampling_interval") for machine in STAYING if machine in READ},
+    ("base", "leak"): _named("cross_axis_coupling"),
 }
 """On a machine, further names for a family. A steady push on a servo is an offset of the position that it is held to. A
-spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command."""
+spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command. A servo of
+one axis that goes too far is one whose sensors show too much. Where all speeds are shown too small, a row may be longer
+than is said, and parameters make up for the rest: not the base's, which holds a speed. A leak into another body has no
+name."""
 
 
 def names_of(family: str, machine: str) -> frozenset[str]:

@@ -28,9 +28,13 @@ class Law(Protocol):
         """Acceleration that the simulator lacks."""
         ...
 
+    def read(self, v: Velocity, row: float) -> Velocity:
+        """What sensors show of the velocities, a row of that length [s] after the last one."""
+        ...
 
-class _Plain:
-    """A law that does nothing; the others differ from it in one of two ways."""
+
+class Plain:
+    """A law that does nothing; the others differ from it in one of three ways."""
 
     def begin(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -41,8 +45,11 @@ class _Plain:
     def push(self, q: Any, v: Velocity, u: Command, h: float) -> Velocity:  # noqa: ARG002
         return np.zeros_like(v)
 
+    def read(self, v: Velocity, row: float) -> Velocity:  # noqa: ARG002
+        return v
 
-class Static(_Plain):
+
+class Static(Plain):
     """A curve that commands pass."""
 
     def __init__(self, curve: Callable[[Command], Command]) -> None:
@@ -52,7 +59,7 @@ class Static(_Plain):
         return self.curve(sent)
 
 
-class Push(_Plain):
+class Push(Plain):
     """A push that depends on position, velocity and command as they are."""
 
     def __init__(self, law: Callable[[Any, Velocity, Command], Velocity]) -> None:
@@ -62,7 +69,7 @@ class Push(_Plain):
         return self.law(q, v, u)
 
 
-class Late(_Plain):
+class Late(Plain):
     """Commands arrive `delay` [s] late, plus or minus some `jitter`, and through poles of `lag` [s]."""
 
     def __init__(self, delay: float, jitter: float, lags: tuple[float, ...]) -> None:
@@ -81,7 +88,7 @@ class Late(_Plain):
         return u
 
 
-class Play(_Plain):
+class Play(Plain):
     """The output rests until the input has crossed a gap; it follows through a soft flank of a share of the gap."""
 
     def __init__(self, gap: float, soft: float) -> None:
@@ -97,7 +104,7 @@ class Play(_Plain):
         return moved
 
 
-class Slow(_Plain):
+class Slow(Plain):
     """Commands are followed no faster than `limit` [1/s], with a rounded corner."""
 
     def __init__(self, limit: float, corner: float) -> None:
@@ -113,7 +120,7 @@ class Slow(_Plain):
         return moved
 
 
-class Ringing(_Plain):
+class Ringing(Plain):
     """Commands pass an oscillator of frequency [rad/s] and damping ratio."""
 
     def __init__(self, frequency: float, damping: float) -> None:
@@ -129,7 +136,7 @@ class Ringing(_Plain):
         return moved
 
 
-class Tired(_Plain):
+class Tired(Plain):
     """Work heats, and heat takes strength: of a command a share is lost that grows and fades with `fades` [s]."""
 
     def __init__(self, loss: float, fades: float) -> None:
@@ -141,7 +148,19 @@ class Tired(_Plain):
         return sent * (1 - self.loss * self.heat / (1 + self.heat))
 
 
-class Gusts(_Plain):
+class Fading(Plain):
+    """The response to commands drifts by a share `by` in `within` [s], ever more slowly: half of it in a third."""
+
+    def __init__(self, by: float, within: float) -> None:
+        self.by, self.within = by, within
+        self.since = 0.0
+
+    def command(self, sent: Command, h: float) -> Command:
+        self.since += h
+        return sent * (1 + self.by * 2 * self.since / (self.since + self.within))
+
+
+class Gusts(Plain):
     """Random pushes, correlated over `lasts` [s]."""
 
     def __init__(self, size: float, lasts: float) -> None:
@@ -154,7 +173,7 @@ class Gusts(_Plain):
         return self.at
 
 
-class Bristles(_Plain):
+class Bristles(Plain):
     """Hysteresis: bristles of some length bend with the motion and push back (Dahl's friction with a free exponent)."""
 
     def __init__(self, force: float, length: float, exponent: float) -> None:
@@ -167,11 +186,11 @@ class Bristles(_Plain):
         return -self.force * self.bent
 
 
-class Uneven(_Plain):
+class Uneven(Plain):
     """A law whose strength varies with place or command, and that acts along some axes only.
 
     axes: one along which it acts, else zero. depth: share by which its strength varies; waves: per unit of place or
-    command.
+    command. A sensor does not know the place: along its axes it reads as it does everywhere.
     """
 
     def __init__(self, law: Law, axes: Float[np.ndarray, " v"], depth: float, waves: float, phase: float) -> None:
@@ -186,6 +205,9 @@ class Uneven(_Plain):
 
     def push(self, q: Any, v: Velocity, u: Command, h: float) -> Velocity:
         return self._strength(q[: len(v)]) * self.law.push(q, v, u, h)
+
+    def read(self, v: Velocity, row: float) -> Velocity:
+        return v + self.axes * (self.law.read(v, row) - v)
 
     def _strength(self, at: Any) -> Any:
         return self.axes * (1 + self.depth * np.sin(self.waves * at + self.phase))

@@ -6,9 +6,11 @@ steps a row: the machine, which takes more, does not differ by its integrator.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.types import Axis, Field, Kind, Parameter, Schema
@@ -27,7 +29,10 @@ def _as_they_are(_: Any, position: Any, velocity: Any) -> list[Any]:
 
 @dataclass(frozen=True)
 class Machine:
-    """A simulator of the training ground: `StepModel` with positions first, then velocities."""
+    """A simulator of the training ground: `StepModel`.
+
+    Positions of all bodies and their velocities are in the order of the state, in which what is not recorded is last.
+    """
 
     name: str
     schema: Schema
@@ -36,15 +41,21 @@ class Machine:
     acceleration: Acceleration
     rates: Rates = _as_they_are
 
-    @property
-    def positions(self) -> int:
-        """How many of the states are positions."""
-        return sum(f.kind != "velocity" for f in self.schema.state)
+    @cached_property
+    def positions(self) -> list[int]:
+        """Which of the states are positions."""
+        return [i for i, f in enumerate(self.schema.state) if f.kind != "velocity"]
 
-    @property
-    def velocities(self) -> int:
-        """How many of the states are velocities."""
-        return len(self.schema.state) - self.positions
+    @cached_property
+    def velocities(self) -> list[int]:
+        """Which of the states are velocities."""
+        return [i for i, f in enumerate(self.schema.state) if f.kind == "velocity"]
+
+    def of_velocities(self, change: Float[np.ndarray, " v"]) -> Float[np.ndarray, " s"]:
+        """A change of the velocities as one of the state."""
+        state = np.zeros(len(self.schema.state))
+        state[self.velocities] = change
+        return state
 
     def step(
         self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
@@ -62,11 +73,12 @@ class Machine:
 
     def derivative(self, xp: Any, params: Any, state: Any, command: Any, pushed: Any = None) -> list[Any]:
         """Of the state by time, with `xp` for numpy; `pushed` is added to the accelerations."""
-        q, v = state[: self.positions], state[self.positions :]
+        q, v = [state[i] for i in self.positions], [state[i] for i in self.velocities]
         acceleration = self.acceleration(xp, params, q, v, command)
         if pushed is not None:
             acceleration = [a + p for a, p in zip(acceleration, pushed, strict=True)]
-        return [*self.rates(xp, q, v), *acceleration]
+        slopes = dict(zip([*self.positions, *self.velocities], [*self.rates(xp, q, v), *acceleration], strict=True))
+        return [slopes[i] for i in range(len(state))]
 
 
 def _axis(name: str, body: str, axis: Axis = "x") -> tuple[Field, Field]:
@@ -136,15 +148,8 @@ def _joint(name: str) -> tuple[Field, Field, Field]:
 
 
 _ARM = tuple(map(_joint, ("shoulder", "elbow", "wrist")))
-_PAIR = Schema(
-    (
-        Field("left_pos", "m", "position", "world", "left", "x"),
-        Field("right_pos", "m", "position", "world", "right", "x"),
-        Field("left_vel", "m/s", "velocity", "world", "left", "x"),
-        Field("right_vel", "m/s", "velocity", "world", "right", "x"),
-    ),
-    (_command("left", "left"), _command("right", "right")),
-)
+_LEFT, _RIGHT = _axis("left", "left"), _axis("right", "right")
+_PUSHED = (_command("left", "left"), _command("right", "right"))
 _BASE = Schema(
     (
         Field("x", "m", "position", "world", "base", "x"),
@@ -184,13 +189,21 @@ PENDULUM = Machine(
 )
 PAIR = Machine(
     "pair",
-    _PAIR,
+    Schema((_LEFT[0], _RIGHT[0], _LEFT[1], _RIGHT[1]), _PUSHED),
     (
         Parameter("drive", "1/kg", 1.0, 9.0),
         Parameter("damping", "1/s", 0.5, 6.0),
         Parameter("spring", "1/s^2", 0.0, 20.0),
     ),
     0.05,
+    _pair,
+)
+PAIR_LEFT = Machine(
+    "pair_left",
+    Schema((*_LEFT, *(replace(f, observed=False) for f in _RIGHT)), _PUSHED),
+    # Without a spring nothing that is recorded would tell of the other body.
+    (*PAIR.parameters[:2], Parameter("spring", "1/s^2", 5.0, 20.0)),
+    PAIR.time_step,
     _pair,
 )
 BASE = Machine(
@@ -223,4 +236,4 @@ def _without_speeds(machine: Machine) -> Machine:
     return replace(machine, name=f"{machine.name}_positions", schema=Schema(state, machine.schema.command))
 
 
-MACHINES = (CART, SERVO, PENDULUM, PAIR, BASE, ARM, *map(_without_speeds, (SERVO, PENDULUM, ARM)))
+MACHINES = (CART, SERVO, PENDULUM, PAIR, BASE, ARM, *map(_without_speeds, (SERVO, PENDULUM, ARM)), PAIR_LEFT)

@@ -98,7 +98,7 @@ def scores(layout: Layout, judged: Judged, rng: np.random.Generator) -> dict[str
         table[f"error_{HORIZONS[k]}"] = interval(relative_error(judged, k, draws))
     last = judged.error.shape[1] - 1
     for b, body in enumerate(layout.bodies):
-        axes = [int(i) for i in layout.position[b, [X, Y, Z]] if i >= 0]
+        axes = [int(i) for i in layout.position[b, [X, Y, Z]] if i >= 0 and layout.observed[i]]
         if axes:
             # Mean distance between predicted and measured position.
             distance = np.linalg.norm(judged.error[:, last][:, axes], axis=-1)

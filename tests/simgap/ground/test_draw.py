@@ -9,18 +9,25 @@ import pytest
 from simgap.effects.augmented import Augmented
 from simgap.ground import draw as ground
 from simgap.ground.draw import draw
-from simgap.ground.families import EQUIVALENT, FAMILIES, names_of
+from simgap.ground.families import ALL, EQUIVALENT, FAMILIES, READ, STAYING, names_of
 from simgap.ground.laws import Push, Static, Uneven
-from simgap.ground.machines import MACHINES, Machine
+from simgap.ground.machines import MACHINES, PAIR, PAIR_LEFT, SERVO, Machine
+from simgap.ground.readings import Curve, Offset, Old
 
 NUMBERS = range(16)
 ROWS = ground.USUAL[1]
 case = cache(draw)
+BY_NAME = {m.name: m for m in MACHINES}
+
+
+def middle(machine: Machine) -> np.ndarray:
+    """Parameters in the middle of their ranges."""
+    return np.array([(p.low + p.high) / 2 for p in machine.parameters])
 
 
 def still(machine: Machine) -> np.ndarray:
     """Velocities that nothing shakes."""
-    return np.zeros((ground.WARM + ROWS, machine.velocities))
+    return np.zeros((ground.WARM + ROWS, len(machine.velocities)))
 
 
 def test_a_case_is_drawn_from_its_number_alone() -> None:
@@ -69,27 +76,28 @@ def test_the_simulator_and_the_machine_differ_by_less_than_any_noise(machine: Ma
 
 def test_shakes_change_the_velocities_and_are_none_of_the_laws() -> None:
     machine = MACHINES[0]
-    params = np.array([(p.low + p.high) / 2 for p in machine.parameters])
     command, shakes = ground._commands(machine, np.random.default_rng(1), ROWS), still(machine)
     shakes[-2] = 0.1
-    calm, shaken = (ground._simulated(machine, params, [], command, s) for s in (0 * shakes, shakes))
+    calm, shaken = (ground._simulated(machine, middle(machine), [], command, s) for s in (0 * shakes, shakes))
     np.testing.assert_allclose(shaken.state[-1] - calm.state[-1], [0, 0.1], atol=1e-12)
     np.testing.assert_array_equal(shaken.state[:-1], calm.state[:-1])
     assert not shaken.changed.any()
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_a_law_changes_what_the_machine_does_and_more_with_its_size(name: str) -> None:
-    machine = MACHINES[0]
-    params = np.array([(p.low + p.high) / 2 for p in machine.parameters])
+def test_a_law_changes_what_the_machine_does_or_shows_and_more_with_its_size(name: str) -> None:
+    machine = BY_NAME[FAMILIES[name].machines[0]]
     command = ground._commands(machine, np.random.default_rng(1), ROWS)
 
     def change(size: float) -> float:
         law = FAMILIES[name].draw(np.random.default_rng(2), size, machine.time_step, 5.0)
         law.begin(np.random.default_rng(3))
-        return float(np.abs(ground._simulated(machine, params, [law], command, still(machine)).changed).mean())
+        clean = ground._simulated(machine, middle(machine), [law], command, still(machine))
+        changed, misread = np.abs(clean.changed).mean(), np.abs(clean.shown - clean.state).mean()
+        assert not changed or not misread
+        return float(changed + misread)
 
-    assert 0 < change(0.05) < change(0.4)
+    assert 0 < change(0.05) < change(0.4) < np.inf
 
 
 def test_an_uneven_law_acts_along_its_axes_and_more_in_some_places() -> None:
@@ -101,6 +109,102 @@ def test_an_uneven_law_acts_along_its_axes_and_more_in_some_places() -> None:
     pushed = Uneven(Push(lambda q, v, u: v + u + 1), np.array([0.0, 1.0]), 0.5, 1.0, 0.0)  # noqa: ARG005
     at = np.array([0.0, np.pi / 2, 0.0])
     np.testing.assert_allclose(pushed.push(at, np.zeros(2), np.zeros(2), 0.1), [0, 1.5])
+    read = Uneven(Curve(lambda v: 2 * v), np.array([0.0, 1.0]), 0.5, 1.0, 0.0)
+    np.testing.assert_allclose(read.read(np.array([3.0, np.pi / 2]), 0.1), [3, np.pi])
+
+
+def test_a_reading_is_as_old_as_is_said_between_rows_too() -> None:
+    old = Old(age=0.15, jitter=0.0)
+    old.begin(np.random.default_rng(0))
+    shown = [float(old.read(np.array([v]), 0.1)[0]) for v in (0.0, 1.0, 2.0, 4.0)]
+    np.testing.assert_allclose(shown, [0, 0, 0.5, 1.5])
+
+
+def test_an_offset_wanders_about_what_it_is() -> None:
+    wide, fixed = Offset(0.2, 0.3, 1.0), Offset(0.2, 0.0, 1.0)
+    for law in (wide, fixed):
+        law.begin(np.random.default_rng(0))
+    shown = np.array([wide.read(np.ones(1), 0.1) for _ in range(2000)])
+    np.testing.assert_allclose(shown.mean(), 1.2, atol=0.02)
+    np.testing.assert_allclose(shown.std(), 0.06, atol=0.02)
+    np.testing.assert_allclose(fixed.read(np.ones(1), 0.1), 1.2)
+
+
+def test_a_misread_speed_is_recorded_and_moves_nothing() -> None:
+    scaled, old = (ground.recorded(5, PAIR, "within", (f,)) for f in ("sensor_scale", "old_reading"))
+    assert min(scaled.strength, old.strength) > 0
+    for one, other in zip(scaled.sessions.fitted, old.sessions.fitted, strict=True):
+        np.testing.assert_array_equal(one.command, other.command)
+        np.testing.assert_array_equal(one.state[:, PAIR.positions], other.state[:, PAIR.positions])
+        assert (one.state != other.state).any()
+
+
+def test_a_body_that_is_not_recorded_moves_as_if_it_were() -> None:
+    command = ground._commands(PAIR, np.random.default_rng(1), ROWS)
+    both, left = (ground._simulated(m, middle(PAIR), [], command, still(m)).state for m in (PAIR, PAIR_LEFT))
+    np.testing.assert_array_equal(both[:, [*PAIR.positions, *PAIR.velocities]],
+                                  left[:, [*PAIR_LEFT.positions, *PAIR_LEFT.velocities]])  # fmt: skip
+    for number in range(4):
+        for r in ground.recorded(number, PAIR_LEFT, "within", ("friction",)).sessions.fitted:
+            assert r.state.shape[1] == 2
+            assert np.isfinite(r.state).all()
+
+
+def test_a_friction_of_the_body_that_is_not_recorded_shows_in_the_other() -> None:
+    rubs = Push(lambda q, v, u: np.array([0.0, -2.0]) * np.tanh(v / 0.01))  # noqa: ARG005
+    command = ground._commands(PAIR_LEFT, np.random.default_rng(1), ROWS)
+    rubbed, free = (
+        ground._simulated(PAIR_LEFT, middle(PAIR_LEFT), laws, command, still(PAIR_LEFT)) for laws in ([rubs], [])
+    )
+    assert np.std((rubbed.state - free.state)[:, 1]) > 0.1 * np.std(free.state[:, 1])
+    assert rubbed.changed[:, :2].any()
+
+
+@pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.name)
+def test_no_law_is_drawn_where_a_machine_cannot_have_it(machine: Machine) -> None:
+    rng = np.random.default_rng(0)
+    drawn = {f for kind in ground.KINDS for _ in range(60) for f in ground._families(kind, machine, rng)}
+    assert drawn == {name for name, family in FAMILIES.items() if machine.name in family.machines}
+
+
+def test_no_machine_has_laws_that_a_parameter_imitates_or_that_nothing_recorded_shows() -> None:
+    """A parameter of the drives scales the command alone; a sensor may be off whose speed is not recorded."""
+    assert not {"cart", "pendulum", "pendulum_positions", "pair", "pair_left"} & set(FAMILIES["gain"].machines)
+    for family in ("sensor_scale", "sensor_bias", "old_reading", "rectified"):
+        assert set(FAMILIES[family].machines) == {"cart", "servo", "pendulum", "pair", "base", "arm"}
+    assert set(FAMILIES["leak"].machines) == {"pair", "pair_left", "base", "arm", "arm_positions"}
+
+
+def test_the_drift_of_a_response_is_within_the_vocabulary() -> None:
+    """Over usual sessions and brief ones, at the largest size, on rows of any length."""
+    (bound,) = {abs(c.high) for e in Augmented(SERVO).catalogue if e.id == "gain_drift" for c in e.constants}
+    for m, rows in ((m, rows) for m in MACHINES for _, rows in (ground.USUAL, ground.BRIEF)):
+        law = FAMILIES["fading"].draw(np.random.default_rng(rows), 0.5, m.time_step, 1.0)
+        factor = [law.command(np.ones(1), m.time_step)[0] for _ in range(ground.WARM + rows)][ground.WARM :]
+        slope = np.polyfit(m.time_step / 60 * np.arange(rows), np.array(factor) / factor[0], 1)[0]
+        assert 0.3 < abs(slope) < bound
+
+
+def test_a_servo_that_is_commanded_too_much_is_one_whose_sensors_show_too_much() -> None:
+    command = ground._commands(SERVO, np.random.default_rng(1), ROWS)
+    plain, more = (
+        ground._simulated(SERVO, middle(SERVO), [Static(lambda u, g=g: g * u)], command, still(SERVO)).state
+        for g in (1.0, 1.3)
+    )
+    np.testing.assert_allclose(more, 1.3 * plain, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [m for m in STAYING if m in READ])
+def test_speeds_that_are_shown_too_small_are_rows_that_are_longer(name: str) -> None:
+    """With other parameters: of those with 1/s the share that is shown, of the others its square."""
+    machine, share, rng = BY_NAME[name], 0.8, np.random.default_rng(0)
+    others = middle(machine) * [share if p.name == "damping" else share**2 for p in machine.parameters]
+    state, command = rng.standard_normal(len(machine.schema.state)), rng.standard_normal(len(machine.schema.command))
+    shown = np.ones(len(state))
+    shown[machine.velocities] = share
+    slope = np.array(machine.derivative(np, middle(machine), state, command))
+    longer = np.array(machine.derivative(np, others, shown * state, command)) / share
+    np.testing.assert_allclose(longer, shown * slope)
 
 
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.name)
@@ -108,9 +212,11 @@ def test_every_name_is_an_effect_that_has_a_site_on_the_machine(machine: Machine
     augmented = Augmented(machine)
     possible = {e.id for e, sites in zip(augmented.catalogue, augmented.sites, strict=True) if sites}
     for family in FAMILIES:
-        assert names_of(family, machine.name) <= possible, family
+        if machine.name in FAMILIES[family].machines:
+            assert names_of(family, machine.name) <= possible, family
 
 
 def test_further_names_are_of_machines_and_families_that_there_are() -> None:
-    assert {machine for machine, _ in EQUIVALENT} <= {m.name for m in MACHINES}
+    assert {machine for machine, _ in EQUIVALENT} <= set(ALL)
     assert {family for _, family in EQUIVALENT} <= set(FAMILIES)
+    assert all(machine in FAMILIES[family].machines for machine, family in EQUIVALENT)
