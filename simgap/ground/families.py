@@ -20,8 +20,6 @@ STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair", "pair_left")
 """Machines whose bodies keep their place."""
 READ = tuple(m.name for m in MACHINES if all(f.observed for f in m.schema.state))
 """Machines that record the speeds of all their axes."""
-UNREAD = tuple(m.name for m in MACHINES if not any(f.observed for f in m.schema.state if f.kind == "velocity"))
-"""Machines that record positions alone."""
 JOINED = tuple(m.name for m in MACHINES if len(m.schema.command) > 1)
 """Machines with a command for each of several axes."""
 
@@ -234,14 +232,14 @@ EQUIVALENT = {
     **{(machine, "under_load"): _named("load_friction") for machine in STAYING if machine not in HELD},
     **{(machine, "gain"): _named("sensor_scale") for machine in ("servo", "servo_positions")},
     **{(machine, "sensor_scale"): _named("sampling_interval") for machine in ("cart", "servo", "pendulum")},
-    **{(machine, family): _named("sensor_delay") for machine in UNREAD for family in ("delay", "dispersion")},
+    **{(machine, family): _named("sensor_delay") for machine in ALL for family in ("delay", "dispersion")},
     ("base", "leak"): _named("cross_axis_coupling"),
 }
 """On a machine, further names for a family. A steady push on a servo is an offset of the position that it is held to. A
 spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command. A servo of
 one axis that goes too far is one whose sensors show too much. Where the only speed is shown too small, a row may be
-longer than is said, and parameters make up for the rest. Where positions alone are read, late commands are late
-readings. A leak into another body has no name."""
+longer than is said, and parameters make up for the rest. Late commands are late readings of all sensors. A leak into
+another body has no name."""
 
 
 def names_of(family: str, machine: str) -> frozenset[str]:
