@@ -5,39 +5,40 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simgap.diagnosis.inference import select
-from simgap.diagnosis.inference.explain import explain
-from simgap.diagnosis.inference.model import Round
+from simgap.diagnosis.inference import explain, select
+from simgap.diagnosis.inference.model import Found, Round
 from simgap.ground.draw import recorded
-from simgap.ground.machines import PAIR
+from simgap.ground.machines import CART
 
-PLANTED = {"delay", "rate_limit"}
+WRONG, RIGHT = "load_friction", {"saturation", "coulomb_friction"}
 
 
-@pytest.fixture(name="begun")
-def misled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """First rounds in which a wrong effect seems to gain a little more than the best; and the ids taken first."""
-    taken, one_more = [], select.one_more
+@pytest.fixture(name="found")
+def _found(monkeypatch: pytest.MonkeyPatch) -> list[Found]:
+    """Results of searches in whose first round a wrong effect seems to gain a little more than the best."""
+    found, one_more, search = [], select.one_more, select.search
 
-    def first_wrong(model: Any, hypotheses: Any, rng: Any, report: Any, found: Any) -> Round:
-        current = one_more(model, hypotheses, rng, report, found)
-        if found:
+    def misled(model: Any, hypotheses: Any, rng: Any, report: Any, chosen: Any) -> Round:
+        current = one_more(model, hypotheses, rng, report, chosen)
+        if chosen:
             return current
-        best = current.tried[0]
-        wrong = next(t for t in current.tried if t.hypothesis.effect.id == "backlash")
-        taken.append(wrong.hypothesis.effect.id)
-        seeming = wrong._replace(gain=best.gain + 1.0)
-        return current._replace(tried=[seeming, *(t for t in current.tried if t is not wrong)])
+        wrong = next(t for t in current.tried if t.hypothesis.effect.id == WRONG)
+        others = [t for t in current.tried if t is not wrong]
+        return current._replace(tried=[wrong._replace(gain=others[0].gain + 1.0), *others])
 
-    monkeypatch.setattr(select, "one_more", first_wrong)
-    return taken
+    def kept(*given: Any) -> Found:
+        found.append(search(*given))
+        return found[-1]
+
+    monkeypatch.setattr(select, "one_more", misled)
+    monkeypatch.setattr(explain, "search", kept)
+    return found
 
 
-def test_a_search_that_begins_with_a_wrong_effect_ends_with_the_right_ones(begun: list[str]) -> None:
-    case = recorded(1, PAIR, "within", ("delay", "rate_limit"))
+def test_a_search_that_begins_with_a_wrong_effect_ends_with_the_right_ones(found: list[Found]) -> None:
+    case = recorded(1, CART, "two", ("friction", "saturation"))
     lines: list[str] = []
-    found = explain(case.machine, case.sessions, np.random.default_rng(0), lines.append)
-    print(*lines, sep="\n")
-    assert begun == ["backlash"]
-    assert any(line.startswith("a search that begins with rate_limit") for line in lines)
-    assert {m.hypothesis.effect.id for m in found.members} == PLANTED
+    explain.explain(case.machine, case.sessions, np.random.default_rng(0), lines.append)
+    added = [line.split()[1] for line in lines if line.startswith("added")]
+    assert added[0] == WRONG
+    assert {h.effect.id for h in found[0].chosen} == RIGHT

@@ -11,7 +11,7 @@ from small import RICH, acting, problem, sessions
 from simgap.diagnosis import diagnose as whole
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.alternatives import _better
-from simgap.diagnosis.inference.model import Model
+from simgap.diagnosis.inference.model import Model, Trial
 from simgap.diagnosis.inference.onsets import _restrictions
 from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.score_test import vary
@@ -41,6 +41,14 @@ def test_an_effect_gives_way_to_what_beats_it_wherever_it_acts(rivals: list, bet
     reduced: Any = SimpleNamespace(problem=None)
     found = _better(reduced, [trial(*r) for r in rivals], trial(*DELAYED), holds, 10.0)
     assert (found and found.hypothesis.effect.id) == better
+
+
+@pytest.mark.parametrize("constants", [1, 2, 3])
+def test_every_constant_of_an_effect_costs_as_much_as_it_gains_by_chance(constants: int) -> None:
+    hypothesis: Any = SimpleNamespace(groups=(None,) * constants)
+    fit: Any = SimpleNamespace(e=np.zeros((400, 2)), loglik=7.0)
+    tried = Trial.of(hypothesis, fit, SimpleNamespace(loglik=-13.0))  # type: ignore[arg-type]
+    assert tried.evidence == pytest.approx(20.0 - constants * np.log(400) / 2)
 
 
 def test_a_rival_that_fits_better_throughout_is_no_onset() -> None:
