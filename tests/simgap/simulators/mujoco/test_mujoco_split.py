@@ -8,7 +8,6 @@ from arms import arm
 
 from simgap.engines import split_of
 from simgap.simulators.mujoco import MujocoEngine, load
-from simgap.simulators.mujoco.split import as_mjcf
 
 STEP = 0.02
 SPRING = '<joint name="lift_deflection" axis="0 1 0" stiffness="{k}" damping="{d}"/>'
@@ -86,9 +85,12 @@ def test_only_engines_with_hidden_states_have_rivals() -> None:
     assert split_of(object(), "lift") == ()  # type: ignore[arg-type]
 
 
-def test_the_line_for_the_model_is_mjcf_that_compiles(tmp_path: Path) -> None:
-    plain = engine(tmp_path, arm())
-    words = as_mjcf(plain.source.spec, "lift", "link_backlash", 0.03)
-    line = words[words.index("<joint") : words.index("/>") + 2]
-    model = mujoco.MjModel.from_xml_string(arm().replace('armature=".01" />', 'armature=".01" />' + line))
-    np.testing.assert_allclose(model.joint("lift_deflection").range, [-0.015, 0.015])
+def test_a_deflection_has_nothing_of_the_model_s_defaults_for_joints(tmp_path: Path) -> None:
+    default = '<default><joint damping="3" armature=".1" frictionloss=".2" stiffness="5" range="-1 1"/></default>'
+    rival = rivals(engine(tmp_path, arm().replace("<worldbody>", f"{default}<worldbody>")), "lift")
+    for effect, limited in (("link_backlash", True), ("elastic_joint", False)):
+        model = rival[effect, "link"].model
+        added = model.joint("lift_deflection")
+        assert [float(added.armature[0]), float(added.frictionloss[0])] == [0.0, 0.0]
+        assert [float(np.max(added.damping)), float(np.max(added.stiffness))] == [0.0, 0.0]
+        assert bool(model.jnt_limited[added.id]) == limited
