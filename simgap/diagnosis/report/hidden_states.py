@@ -36,8 +36,8 @@ def _in_simulator(h: Hidden) -> str:
     others = listed([title(name) for name in h.replaces]) if h.replaces else "nothing"
     return (
         f"The corrected simulator has {title(h.term.effect)} at {h.term.where} as two more states, which are zero "
-        "where a session starts; open-loop errors are of this simulator. In the scores after some steps and in the "
-        f"pictures, {others} stands in for it. Effects on the noise were not searched for."
+        "where a session starts; open-loop errors are of this simulator. The scores after some steps and the pictures "
+        f"of forecasts are of the simulator with {others} in its place. Effects on the noise were not searched for."
     )
 
 

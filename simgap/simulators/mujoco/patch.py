@@ -18,6 +18,7 @@ from simgap.simulators.mujoco.attributes import Slot, unit
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.reading import compiled
 from simgap.simulators.mujoco.split import second_joint
+from simgap.simulators.mujoco.steps import LONGER
 from simgap.simulators.mujoco.terms import Added, Deflecting, Limited, Timed, force_range
 
 _NONE = int(mujoco.mjtDyn.mjDYN_NONE)
@@ -157,7 +158,7 @@ def _deflect(engine: MujocoEngine, spec: mujoco.MjSpec, switch: Deflecting, valu
         rotor = Slot("dof_armature", (engine.machine.joints[at.joint].dof,), "joint", joint.name, "armature")
         rotor.write(spec, rotor.value(engine.model))
         changes.append(Change(f"joint {joint.name}", "armature", "0", _number(joint.armature)))
-    if spec.option.timestep > longest:
+    if spec.option.timestep > LONGER * longest:
         changes.append(Change("option", "timestep", _number(spec.option.timestep), _number(longest)))
         spec.option.timestep = longest
     for key in spec.keys:

@@ -220,7 +220,7 @@ def test_notes_say_which_models_have_it(contest: tuple[str, Contest]) -> None:
     said, left_out = notes(case.found._replace(hidden=(unnamed, first._replace(replaces=("friction",)), other)))
     effect = first.term.effect.replace("_", " ")
     assert said.startswith(f"The corrected simulator has {effect} at pan as two more states")
-    assert "friction stands in for it" in said
+    assert "the simulator with friction in its place" in said
     assert left_out.startswith(f"The corrected simulator lacks {effect} at lift")
 
 
