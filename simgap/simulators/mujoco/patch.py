@@ -170,21 +170,25 @@ def _deflect(engine: MujocoEngine, spec: mujoco.MjSpec, switch: Deflecting, valu
 
 
 def _size(engine: MujocoEngine, spec: mujoco.MjSpec, added: mujoco.MjsJoint, built: mujoco.MjModel) -> str:
-    """Write the stops or the spring of a compiled model's deflection; returns them in words."""
+    """Write the stops, the spring and all else of a compiled model's deflection; returns it in words."""
     at = engine.machine.deflection
     assert at is not None  # where there is a second joint
-    joint = engine.machine.joints[at.joint]
+    joint, said = engine.machine.joints[at.joint], []
+    added.limited = int(mujoco.mjtLimited.mjLIMITED_FALSE)
     if built.jnt_limited[at.index]:
         ends = built.jnt_range[at.index]
-        added.limited, added.solref_limit = int(mujoco.mjtLimited.mjLIMITED_TRUE), built.jnt_solref[at.index]
         turns = np.degrees(ends) if joint.hinge and spec.compiler.degree else ends
-        added.range = [float(f"{end:.9g}") for end in turns]
-        return f"range {_range(ends)} {joint.unit}"
-    slots = (Slot("jnt_stiffness", (at.index,), "joint", added.name, "stiffness"),
-             Slot("dof_damping", (at.dof,), "joint", added.name, "damping"))  # fmt: skip
-    for slot in slots:
+        added.limited, added.range = int(mujoco.mjtLimited.mjLIMITED_TRUE), [float(f"{end:.9g}") for end in turns]
+        added.solref_limit = built.jnt_solref[at.index]
+        said.append(f"range {_range(ends)} {joint.unit}")
+    added.springdamper = [0.0, 0.0]  # would replace the two that follow
+    for kind in ("stiffness", "damping", "frictionloss", "armature"):
+        array, index = ("jnt_stiffness", at.index) if kind == "stiffness" else (f"dof_{kind}", at.dof)
+        slot = Slot(array, (index,), "joint", added.name, kind)
         slot.write(spec, slot.value(built))
-    return ", ".join(f"{s.attribute} {_number(s.value(built))} {unit(joint, s.attribute)}" for s in slots)
+        if value := slot.value(built):
+            said.append(f"{kind} {_number(value)} {unit(joint, kind)}")
+    return ", ".join(said)
 
 
 def _delayed(spec: mujoco.MjSpec, delays: Mapping[str, float]) -> list[Change]:

@@ -117,13 +117,6 @@ def _one(engine: MujocoEngine, model: mujoco.MjModel, robot: Machine, effect: st
 
 
 def second_joint(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsJoint:
-    """Add the deflection of a joint to an uncompiled model, whatever the model's defaults for joints are: without
-    limits, spring, friction, damping and armature."""
+    """Add the deflection of a joint to an uncompiled model, with the model's defaults for joints."""
     own = spec.joint(joint)
-    added = own.parent.add_joint(name=f"{joint}{DEFLECTION}", type=own.type, axis=own.axis, pos=own.pos)
-    added.limited, added.actfrclimited = int(mujoco.mjtLimited.mjLIMITED_FALSE), int(mujoco.mjtLimited.mjLIMITED_FALSE)
-    added.ref = added.springref = added.margin = added.frictionloss = added.armature = 0.0
-    added.actgravcomp, added.springdamper = 0, [0.0, 0.0]
-    # Since MuJoCo 4 these are polynomials.
-    added.stiffness, added.damping = 0.0 * np.asarray(added.stiffness), 0.0 * np.asarray(added.damping)
-    return added
+    return own.parent.add_joint(name=f"{joint}{DEFLECTION}", type=own.type, axis=own.axis, pos=own.pos)

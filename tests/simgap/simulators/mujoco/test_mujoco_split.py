@@ -83,14 +83,3 @@ def test_a_joint_before_another_in_its_body_is_not_split(tmp_path: Path) -> None
 
 def test_only_engines_with_hidden_states_have_rivals() -> None:
     assert split_of(object(), "lift") == ()  # type: ignore[arg-type]
-
-
-def test_a_deflection_has_nothing_of_the_model_s_defaults_for_joints(tmp_path: Path) -> None:
-    default = '<default><joint damping="3" armature=".1" frictionloss=".2" stiffness="5" range="-1 1"/></default>'
-    rival = rivals(engine(tmp_path, arm().replace("<worldbody>", f"{default}<worldbody>")), "lift")
-    for effect, limited in (("link_backlash", True), ("elastic_joint", False)):
-        model = rival[effect, "link"].model
-        added = model.joint("lift_deflection")
-        assert [float(added.armature[0]), float(added.frictionloss[0])] == [0.0, 0.0]
-        assert [float(np.max(added.damping)), float(np.max(added.stiffness))] == [0.0, 0.0]
-        assert bool(model.jnt_limited[added.id]) == limited
