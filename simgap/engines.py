@@ -140,6 +140,22 @@ def split_of(engine: Engine, joint: str) -> tuple[Engine, ...]:
     return () if split is None else tuple(split(joint))
 
 
+class Behind(NamedTuple):
+    """A hidden state behind a joint: the joint (`Field.body`), and id and form of the effect; see `split_of`."""
+
+    joint: str
+    effect: str
+    form: str
+
+
+def split_as(engine: Engine, behind: Behind) -> Engine:
+    """The engine with this hidden state; ValueError where it has no such rival."""
+    for rival in split_of(engine, behind.joint):
+        if (rival.terms[-1].effect, rival.terms[-1].form) == (behind.effect, behind.form):
+            return rival
+    raise ValueError(f"it has no {behind.effect} of the {behind.form} behind {behind.joint}")
+
+
 def is_engine(simulator: StepModel | Engine) -> TypeIs[Engine]:
     """Whether a simulator steps rows outside JAX."""
     return hasattr(simulator, "rows")

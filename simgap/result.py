@@ -1,12 +1,12 @@
 """The result of a diagnosis, for Python and for notebooks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -71,11 +71,11 @@ class Result:
             return Result(used.simulator, found, tuple(left_out))
         from simgap.simulators.mujoco import account
 
-        engine, file = cast(Any, used.simulator), f"{Path(used.name).stem}{diagnoses.PATCHED}"
+        result, file = Result(used.simulator, found, tuple(left_out)), f"{Path(used.name).stem}{diagnoses.PATCHED}"
         statement = found.statement | {"model_file": used.model_file}
-        statement = account.account(engine, found.model, statement, file, sessions.fitted)
+        statement = account.account(result._engine, found.model, statement, file, sessions.fitted)
         statement["notes"] = [*used.left_out, *statement["notes"]]
-        return Result(engine, found._replace(statement=statement), tuple(left_out))
+        return replace(result, found=found._replace(statement=statement))
 
     @property
     def statement(self) -> dict[str, Any]:
@@ -103,7 +103,12 @@ class Result:
         """The simulator with these effects; its nominal parameters (`simgap.nominal`) are the fitted ones."""
         model = self.found.model
         acting = Acting(model.theta, model.delta, model.regimes)
-        return diagnoses.corrected(self.diagnosed, model.phi, acting, model.scales)
+        return diagnoses.corrected(self._engine, model.phi, acting, model.scales)
+
+    @cached_property
+    def _engine(self) -> Any:
+        """The simulator that was diagnosed, with the hidden state that was named, if one was."""
+        return diagnoses.with_hidden(self.diagnosed, self.found.model.behind)
 
     @property
     def experiment(self) -> dict[str, np.ndarray] | None:
@@ -137,7 +142,7 @@ class Result:
             return {}
         from simgap.simulators.mujoco import account
 
-        patched = account.patched(cast(Any, self.diagnosed), self.found.model, self.statement, folder)
+        patched = account.patched(self._engine, self.found.model, self.statement, folder)
         return {self.statement["patched"]["file"]: patched.xml}
 
     def plot(self, what: Literal["forecasts", "laws", "sessions", "experiment"] = "forecasts") -> list[Picture]:

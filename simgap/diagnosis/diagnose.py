@@ -22,6 +22,7 @@ from simgap.diagnosis.report import statement as written
 from simgap.diagnosis.report.names import in_steps
 from simgap.diagnosis.validation import black_box, replay, scores
 from simgap.diagnosis.validation.adequacy import conclude
+from simgap.diagnosis.validation.behind import deflected
 from simgap.diagnosis.validation.forecast import Contestant
 from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import sensitivity
@@ -37,7 +38,8 @@ class AugmentedModel(NamedTuple):
 
     phi: parameters. theta, delta, regimes: the effects' internal constants (see `Acting`). gain: filter gain.
     noise_scale, noise_dof: one-step noise of the innovations that `whiten` decorrelates. scales: those that the laws
-    refer to.
+    refer to. behind: the hidden state that the simulator has besides its own, if one is named (see `Behind`). The
+    constants are then those of the engine that has it; gain and noise are those of `deflected`.
     """
 
     phi: Float[np.ndarray, " p"]
@@ -49,6 +51,7 @@ class AugmentedModel(NamedTuple):
     noise_dof: Float[np.ndarray, " s"]
     whiten: Float[np.ndarray, "s s"]
     scales: Scales
+    behind: tuple[str, ...] = ()
 
 
 class Diagnosis(NamedTuple):
@@ -157,7 +160,8 @@ def _replayed(
 ) -> dict[str, Any] | None:
     """Open-loop errors of an engine with every model except the black box; None if there is nothing to replay.
 
-    If the search started elsewhere than at the engine as its user gave it, that one is among the models.
+    If the search started elsewhere than at the engine as its user gave it, that one is among the models. If a hidden
+    state is named, the engine with it is the one with the effects.
     """
     simulator, layout = found.problem.augmented.simulator, found.problem.augmented.layout
     if not is_engine(simulator) or (pieces := replay.pieces_of(heldout, simulator)) is None:
@@ -168,7 +172,15 @@ def _replayed(
         augmented, nominal = Augmented(given), contestants["nominal"]
         as_given = nominal._replace(v=nominal.v._replace(phi=augmented.nominal))
         models["given"] = found.problem._replace(augmented=augmented), as_given
-    return replay.replay(models, pieces)
+    if (hidden := deflected(found)) is None:
+        return replay.replay(models, pieces)
+    replayed = replay.replay({name: models[name] for name in models if name != "augmented"}, pieces)
+    # By itself, since it has more states than the others.
+    with_it = hidden.problem, Contestant(hidden.fit.v, regimes=found.regimes)
+    alone = replay.replay({"nominal": with_it}, hidden.chunks(pieces))
+    for position, other in zip(replayed["positions"], alone["positions"], strict=True):
+        position["errors"]["augmented"] = other["errors"]["nominal"]
+    return replayed
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[written.Plan | None, list[str]]:
@@ -187,13 +199,17 @@ def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[writ
 
 
 def _model(found: Explanation) -> AugmentedModel:
-    v, noise, problem = found.fit.v, found.fit.noise, found.problem
+    hidden = deflected(found)
+    problem, fit, behind = (
+        (found.problem, found.fit, ()) if hidden is None else (hidden.problem, hidden.fit, hidden.behind)
+    )
     return AugmentedModel(
-        np.asarray(v.phi),
-        *found.acting(found.fit),
-        np.asarray(gain_matrix(problem.augmented, problem.scales, v)),
-        noise.scale,
-        noise.dof,
+        np.asarray(fit.v.phi),
+        *found.acting(fit),
+        np.asarray(gain_matrix(problem.augmented, problem.scales, fit.v)),
+        fit.noise.scale,
+        fit.noise.dof,
         problem.whiten,
         problem.scales,
+        tuple(behind),
     )

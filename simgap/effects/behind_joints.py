@@ -1,6 +1,7 @@
 """Effects with a hidden state between the motor and the link of a joint, which engines may have as rivals.
 
-They are no laws of an augmented simulator, since their state is not in its schema (see `engines.split_of`).
+They are no laws of the catalogue: an engine that has one has it as its last term, and two more states (see
+`engines.split_of`).
 """
 
 from typing import NamedTuple

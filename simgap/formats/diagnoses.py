@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from jaxtyping import Float
 
 from simgap.effects.effect import Scales
 from simgap.effects.regime import Acting
-from simgap.engines import Engine
+from simgap.engines import Behind, Engine, split_as
 from simgap.formats import statements
 from simgap.formats.arrays import load_arrays, save_arrays
 from simgap.formats.documents import write_json, write_table, write_text
@@ -76,13 +76,20 @@ def read_simulator(path: Path, simulator: StepModel | Engine) -> AugmentedSimula
     arrays = load_arrays(path)
     try:
         scales, acting, phi = pop_scales(arrays), pop_acting(arrays), arrays["phi"]
+        behind = tuple(map(str, arrays.get("behind", ())))  # versions before had none
         if isinstance(simulator, Spot):  # whose time step is the recordings'
             simulator = replace(simulator, time_step=scales.time_step)
-        return corrected(simulator, phi, acting, scales)
+        return corrected(with_hidden(simulator, behind), phi, acting, scales)
     except (KeyError, ValueError) as error:
         raise SimgapError(
             f"{path}: is no diagnosis of this simulator by this version ({error}). Diagnose again."
         ) from None
+
+
+def with_hidden(simulator: StepModel | Engine, behind: Sequence[str]) -> StepModel | Engine:
+    """The simulator with the hidden state that a diagnosis named, if it named one (see `AugmentedModel`); ValueError
+    where it cannot have it."""
+    return split_as(cast(Engine, simulator), Behind(*behind)) if behind else simulator
 
 
 def corrected(

@@ -27,11 +27,22 @@ def _effect(h: Hidden) -> dict[str, Any]:
 
 
 def notes(found: Explanation) -> list[str]:
-    """What stands in for a named hidden state in the simulator with the effects."""
-    return [
-        f"The simulator has no state for {title(h.term.effect)} at {h.term.where}: in forecasts and in the corrected "
-        f"simulator, {listed([title(name) for name in h.replaces]) if h.replaces else 'nothing'} stands in for it. "
-        "The parameters, also in a patched model, are those fitted with it. Effects on the noise were not searched for."
-        for h in found.hidden
-        if h.named
-    ]
+    """Which models of the report have a hidden state that is named."""
+    named = [h for h in found.hidden if h.named]
+    return [_in_simulator(h) if h is named[0] else _left_out(h) for h in named]
+
+
+def _in_simulator(h: Hidden) -> str:
+    others = listed([title(name) for name in h.replaces]) if h.replaces else "nothing"
+    return (
+        f"The corrected simulator has {title(h.term.effect)} at {h.term.where} as two more states, which are zero "
+        "where a session starts; open-loop errors are of this simulator. The scores after some steps and the pictures "
+        f"of forecasts are of the simulator with {others} in its place. Effects on the noise were not searched for."
+    )
+
+
+def _left_out(h: Hidden) -> str:
+    return (
+        f"The corrected simulator lacks {title(h.term.effect)} at {h.term.where}: it was fitted without the other "
+        "hidden state, and a simulator has one."
+    )

@@ -20,7 +20,6 @@ from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.patch import Patched, patch
 from simgap.simulators.mujoco.replay import rescaling
 from simgap.simulators.mujoco.servo_errors import servo_errors, words
-from simgap.simulators.mujoco.split import as_mjcf
 from simgap.types import Recording, SimgapError
 
 if TYPE_CHECKING:
@@ -30,6 +29,7 @@ LATE = ("delay", "lag")
 """Effects on commands that MJCF can express."""
 NOT_ALWAYS = "MJCF can only express effects that always act."
 NOT_NAMED = "It is a closest match, which explains only part of the mismatch: its name is not certain."
+NOT_TOGETHER = "It was fitted without the one before it: a model has one hidden state."
 CURED = ("missing_physics", "parameters_only")
 """Verdicts with findings to write into the model."""
 
@@ -43,8 +43,8 @@ def account(
 ) -> dict[str, Any]:
     """The statement with parameters in their units, notes on what of the model is left out, and the changes in `file`.
 
-    If the stiffness of the model's servos was far off, the statement says so first; how far they sag and how
-    late they follow it says last.
+    engine: with the hidden state of the `model`, if it has one. If the stiffness of the model's servos was far off, the
+    statement says so first; how far they sag and how late they follow it says last.
     """
     statement, start = _from_start(engine, statement), rescaling(engine)
     notes, written = [*filter(None, [start]), *engine.notes, *statement["notes"]], None
@@ -104,26 +104,25 @@ def _from_start(engine: MujocoEngine, statement: Mapping[str, Any]) -> dict[str,
 def patched(engine: MujocoEngine, model: AugmentedModel, statement: Mapping[str, Any], folder: Path) -> Patched:
     """The model with the fitted parameters and the named effects, for a file in `folder`.
 
-    Left out, each with the reason: effects that MJCF cannot express, effects that do not always act, and closest
-    matches, whose names are not certain. SimgapError where the model cannot be compiled.
+    engine: with the hidden state of the `model`, if it has one. Left out, each with the reason: effects that MJCF
+    cannot express, effects that do not always act, further hidden states, and closest matches, whose names are not
+    certain. SimgapError where the model cannot be compiled.
     """
     own, late, unwritten = {(term.effect, term.form) for term in engine.terms}, {kind: {} for kind in LATE}, []
-    spec = engine.source.spec
     for effect in statement["effects"]:
         always = effect["support"]["kind"] in ("always", "since_baseline")  # the model is of the machine as it is now
         if always and effect["id"] in late:
             (constant,) = effect["constants"]
             late[effect["id"]] |= {name.removeprefix("cmd_"): constant["value"] for name in effect["channels"]}
         elif effect["id"] in BEHIND_JOINTS:
-            unwritten.append(as_mjcf(spec, effect["where"], effect["id"], effect["constants"][0]["value"]))
+            if not any(_is_of(term, effect, engine.terms) for term in engine.terms):
+                unwritten.append(f"{effect['statement']} {NOT_TOGETHER}")
         elif not always or (effect["id"], effect["form"]) not in own:
             unwritten.append(f"{effect['statement']} {'MJCF cannot express it.' if always else NOT_ALWAYS}")
     unwritten += [f"{match['statement']} {NOT_NAMED}" for match in statement["closest_matches"]]
     terms = _terms(engine, model)
     named = [any(_is_of(term, e, engine.terms) for e in statement["effects"]) for term in engine.terms]
-    # A hidden state's own parameters: those of the model make up for it.
-    phi = next((np.array(e["parameters"]) for e in statement["effects"] if "parameters" in e), model.phi)
-    written = patch(engine, phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
+    written = patch(engine, model.phi, np.where(named, terms, 0.0), folder, late["delay"], late["lag"])
     return Patched(written.xml, written.changes, (*written.unwritten, *unwritten))
 
 

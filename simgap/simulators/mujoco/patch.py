@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.simulators.mujoco import payloads
-from simgap.simulators.mujoco.attributes import Slot
+from simgap.simulators.mujoco.attributes import Slot, unit
 from simgap.simulators.mujoco.engine import MujocoEngine
 from simgap.simulators.mujoco.reading import compiled
-from simgap.simulators.mujoco.split import as_mjcf
+from simgap.simulators.mujoco.split import second_joint
+from simgap.simulators.mujoco.steps import LONGER
 from simgap.simulators.mujoco.terms import Added, Deflecting, Limited, Timed, force_range
 
 _NONE = int(mujoco.mjtDyn.mjDYN_NONE)
@@ -102,7 +103,7 @@ def _switched(
         elif isinstance(switch, Timed):
             unwritten.append(f"rows {engine.time_step + value:.6g} s apart: that is a matter of the recordings")
         elif isinstance(switch, Deflecting):
-            unwritten.append(as_mjcf(engine.source.spec, switch.term.where, switch.term.effect, value))
+            changes += _deflect(engine, spec, switch, value)
         elif switch.term.effect == "payload" and spec.compiler.settotalmass > 0:
             unwritten.append(f"payload of {value:.6g} kg at {switch.term.where}: the model sets its total mass")
         elif switch.term.effect == "payload":
@@ -140,6 +141,54 @@ def _load(engine: MujocoEngine, spec: mujoco.MjSpec, switch: Added, mass: float)
     payloads.add(spec, name, carrier, (float(centre[0]), float(centre[1]), float(centre[2])), mass)
     at = " ".join(map(_number, centre))
     return Change(f"body {carrier}", "payload", "none", f"a body {name} of mass {_number(mass)} at {at}")
+
+
+def _deflect(engine: MujocoEngine, spec: mujoco.MjSpec, switch: Deflecting, value: float) -> list[Change]:
+    """A second joint with the numbers with which the engine has stepped it, and what it needs of the model: a rotor
+    with inertia, steps as short as the engine's, and keyframes with a place for it."""
+    at, joint, longest = engine.machine.deflection, spec.joint(switch.term.where), float(engine.model.opt.timestep)
+    assert at is not None  # where the engine has such a term
+    added = second_joint(spec, joint.name)
+    terms = np.array([0.0] * (len(engine.switches) - 1) + [value])
+    size = _size(engine, spec, added, engine.compiled(engine.nominal, terms))
+    measured = f"{joint.name} + {added.name}" if at.at_link else joint.name
+    changes = [Change(f"joint {joint.name}", "second joint", "none",
+                      f"{added.name}, {size}; the measured position is {measured}")]  # fmt: skip
+    if not joint.armature:
+        rotor = Slot("dof_armature", (engine.machine.joints[at.joint].dof,), "joint", joint.name, "armature")
+        rotor.write(spec, rotor.value(engine.model))
+        changes.append(Change(f"joint {joint.name}", "armature", "0", _number(joint.armature)))
+    if spec.option.timestep > LONGER * longest:
+        changes.append(Change("option", "timestep", _number(spec.option.timestep), _number(longest)))
+        spec.option.timestep = longest
+    for key in spec.keys:
+        for part, index in (("qpos", at.qpos), ("qvel", at.dof)):
+            if len(values := getattr(key, part)):
+                setattr(key, part, np.insert(values, index, 0.0))
+                changes.append(Change(f"key {key.name}", part, f"{len(values)} values", f"0 for {added.name} too"))
+    return changes
+
+
+def _size(engine: MujocoEngine, spec: mujoco.MjSpec, added: mujoco.MjsJoint, built: mujoco.MjModel) -> str:
+    """Write the stops, the spring and all else of a compiled model's deflection; returns it in words."""
+    at = engine.machine.deflection
+    assert at is not None  # where there is a second joint
+    joint, said = engine.machine.joints[at.joint], []
+    added.limited = int(mujoco.mjtLimited.mjLIMITED_FALSE)
+    if built.jnt_limited[at.index]:
+        ends = built.jnt_range[at.index]
+        turns = np.degrees(ends) if joint.hinge and spec.compiler.degree else ends
+        added.limited, added.range = int(mujoco.mjtLimited.mjLIMITED_TRUE), [float(f"{end:.9g}") for end in turns]
+        added.solref_limit = built.jnt_solref[at.index]
+        said.append(f"range {_range(ends)} {joint.unit}")
+    added.springdamper = [0.0, 0.0]  # would replace the two that follow
+    for kind in ("stiffness", "damping", "frictionloss", "armature"):
+        array, index = ("jnt_stiffness", at.index) if kind == "stiffness" else (f"dof_{kind}", at.dof)
+        slot = Slot(array, (index,), "joint", added.name, kind)
+        slot.write(spec, slot.value(built))
+        if value := slot.value(built):
+            said.append(f"{kind} {_number(value)} {unit(joint, kind)}")
+    return ", ".join(said)
 
 
 def _delayed(spec: mujoco.MjSpec, delays: Mapping[str, float]) -> list[Change]:

@@ -43,6 +43,8 @@ FINER = 2
 """Factor by which steps are shortened: a stop is stiffer than a servo."""
 SHARPEST = 2.0
 """Time constant of a stop, in steps: MuJoCo allows no stiffer one."""
+DEFLECTION = "_deflection"
+"""What the name of the second joint has after that of the first."""
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
@@ -52,13 +54,13 @@ def deflecting(engine: MujocoEngine, joint: str) -> tuple[MujocoEngine, ...]:
     The last term is the gap or the compliance; all others, and the parameters, are those of the engine, in its order.
     Empty if the joint cannot be split: another joint of its body comes after it, or the model does not compile.
     """
-    spec, name = engine.source.spec.copy(), f"{joint}_deflection"
+    spec = engine.source.spec.copy()
     own = spec.joint(joint)
-    if own is None or list(own.parent.joints)[-1].name != joint or spec.joint(name) is not None:
+    if own is None or list(own.parent.joints)[-1].name != joint or spec.joint(f"{joint}{DEFLECTION}") is not None:
         return ()
     bare = own.armature == 0
     own.armature = own.armature or TINY
-    own.parent.add_joint(name=name, type=own.type, axis=own.axis, pos=own.pos)
+    name = second_joint(spec, joint).name
     for key in list(spec.keys):
         spec.delete(key)  # their positions lack the deflection
     columns = {f.name for f in (*engine.schema.outputs, *engine.schema.command)}
@@ -114,22 +116,7 @@ def _one(engine: MujocoEngine, model: mujoco.MjModel, robot: Machine, effect: st
     )  # fmt: skip
 
 
-def as_mjcf(spec: mujoco.MjSpec, joint: str, effect: str, constant: float) -> str:
-    """What to add to a model's XML by hand, for the gap [rad, m] or the stiffness [N m/rad, N/m] at a joint.
-
-    It is not written into the patched model: recorded positions and keyframes would then belong to two joints.
-    """
+def second_joint(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsJoint:
+    """Add the deflection of a joint to an uncompiled model, with the model's defaults for joints."""
     own = spec.joint(joint)
-    kind = "slide" if own.type == mujoco.mjtJoint.mjJNT_SLIDE else "hinge"
-    axis, pos = (" ".join(f"{v:.6g}" for v in values) for values in (own.axis, own.pos))
-    half = constant / 2
-    turns = np.degrees(half) if spec.compiler.degree and kind == "hinge" else half
-    size = (
-        f'limited="true" range="{-turns:.4g} {turns:.4g}"'
-        if effect == "link_backlash"
-        else f'stiffness="{constant:.4g}"'
-    )
-    line = f'<joint name="{joint}_deflection" type="{kind}" axis="{axis}" pos="{pos}" {size}/>'
-    return (
-        f"To add the {effect.replace('_', ' ')} of {joint} to the model, put {line} after this joint, in the same body."
-    )
+    return own.parent.add_joint(name=f"{joint}{DEFLECTION}", type=own.type, axis=own.axis, pos=own.pos)

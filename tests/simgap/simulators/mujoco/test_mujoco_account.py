@@ -9,7 +9,7 @@ import pytest
 
 from examples.arm import JOINTS, MODEL
 from simgap.effects.augmented import Augmented
-from simgap.engines import Engine
+from simgap.engines import Behind, Engine, split_as
 from simgap.simulators.mujoco import MujocoEngine, load, rescaled
 from simgap.simulators.mujoco.account import account, patched
 from simgap.simulators.mujoco.servo_errors import servo_errors
@@ -137,6 +137,20 @@ def test_an_effect_that_joints_share_is_written_at_each(engine: MujocoEngine) ->
     assert changes == [
         ("joint pan", "frictionloss", "0.3"), ("joint elbow", "frictionloss", "0.3"), ("actuator pan", "delay", "0.03"),
     ]  # fmt: skip
+
+
+def test_of_several_hidden_states_the_one_of_the_model_is_written(engine: MujocoEngine) -> None:
+    with_it = cast(MujocoEngine, split_as(cast(Engine, engine), Behind("shoulder", "link_backlash", "link")))
+    effects = [effect("link_backlash", joint, [f"{joint}_pos", f"{joint}_vel"], form="link", parameters=[])
+               for joint in ("shoulder", "elbow")]  # fmt: skip
+    said = statement(with_it, "missing_physics", effects=effects)
+    found = account(with_it, model(with_it, link_backlash_shoulder=0.03), said, "arm.patched.xml", RESTING)
+    assert [(c["element"], c["attribute"], c["after"].partition(",")[0]) for c in found["patched"]["changes"]] == [
+        ("joint shoulder", "second joint", "shoulder_deflection")
+    ]
+    assert found["patched"]["unwritten"] == [
+        "link_backlash on elbow. It was fitted without the one before it: a model has one hidden state."
+    ]
 
 
 def test_what_changed_since_a_baseline_is_written_for_the_machine_is_as_it_is_now(engine: MujocoEngine) -> None:

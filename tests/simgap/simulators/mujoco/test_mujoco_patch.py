@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from arms import URDF, arm, starts
 
+from simgap.engines import Behind, split_as
 from simgap.simulators.mujoco import MujocoEngine, Patched, Servos, load, patch
 from simgap.simulators.mujoco.steps import stepped as with_steps
 
@@ -189,3 +190,85 @@ def test_meshes_are_found_from_another_folder(tmp_path: Path) -> None:
     terms = starts(engine)
     patched = patch(engine, engine.nominal, terms, tmp_path / "deep" / "found")
     same_rows(engine, engine.nominal, terms, again(tmp_path / "deep" / "found", patched))
+
+
+DEGREES = """
+  <default>
+    <joint damping=".3" frictionloss=".02" armature=".004"/><default class="soft"><joint stiffness=".5"/></default>
+  </default><worldbody>"""
+ENDS = """
+  <sensor><jointpos name="where" joint="lift"/></sensor>
+  <equality><joint joint1="reach" joint2="lift" polycoef="0 .1 0 0 0"/></equality>
+  <keyframe><key name="home" qpos=".1 .3 .03" qvel="1 2 .2" ctrl=".1 .2 0"/><key name="off" ctrl="0 0 1"/></keyframe>"""
+MODELS = {
+    "plain": arm(),
+    "no armature": arm().replace('armature=".01" ', ""),
+    "degrees and defaults": arm(hand='childclass="soft"').replace("<worldbody>", DEGREES)
+    .replace('"radian"', '"degree"').replace('"-2 2"', '"-114 114"'),
+    "other elements": arm(end=ENDS),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("effect", ["link_backlash", "elastic_joint"])
+@pytest.mark.parametrize("form", ["link", "motor"])
+def test_a_hidden_state_is_a_second_joint_that_moves_as_the_engine_did(
+    text: str, effect: str, form: str, tmp_path: Path
+) -> None:
+    """By MuJoCo alone, over a few rows, with all other parameters changed too."""
+    plain = load(written(tmp_path, text), STEP)
+    rival = split_as(plain, Behind("lift", effect, form))
+    phi, terms = np.linspace(-0.3, 0.4, len(rival.parameters)), starts(rival)
+    patched = patch(rival, phi, terms, tmp_path)
+    assert not patched.unwritten
+    model = mujoco.MjModel.from_xml_string(patched.xml)
+    assert model.opt.timestep <= rival.model.opt.timestep * (1 + 1e-9)
+    model.opt.timestep, model.opt.integrator = STEP / rival.steps, mujoco.mjtIntegrator.mjINT_RK4
+    model.opt.tolerance, model.opt.iterations = 1e-12, 200
+    rows, command = 12, np.array([0.4, -0.3, 0.0])[: len(rival.schema.command)]
+    path = rival.path(phi, terms, np.zeros(len(rival.schema.state)), np.tile(command, (rows + 1, 1)))
+    data, measured = mujoco.MjData(model), []
+    data.ctrl[: len(command)] = command
+    for _ in range(rows):
+        mujoco.mj_step(model, data, rival.steps)
+        pan, lift, deflection = (data.joint(name).qpos[0] for name in ("pan", "lift", "lift_deflection"))
+        measured.append([pan, lift + deflection if form == "link" else lift, deflection])
+    columns = [[f.name for f in rival.schema.state].index(n) for n in ("pan_pos", "lift_pos", "lift_deflection")]
+    np.testing.assert_allclose(measured, path[1:, columns], atol=2e-5)
+    assert np.abs(path[:, columns[2]]).max() > 1e-3
+
+
+def test_what_refers_to_a_split_joint_stays_valid(tmp_path: Path) -> None:
+    rival = split_as(load(written(tmp_path, arm(end=ENDS)), STEP), Behind("lift", "link_backlash", "link"))
+    terms = np.zeros(len(rival.terms))
+    terms[-1] = 0.03
+    patched = patch(rival, rival.nominal, terms, tmp_path)
+    model = mujoco.MjModel.from_xml_string(patched.xml)
+    np.testing.assert_allclose(model.key_qpos[0], [0.1, 0.3, 0.0, 0.03])
+    np.testing.assert_allclose(model.key_qvel[0], [1, 2, 0, 0.2])
+    np.testing.assert_allclose(model.key_ctrl, [[0.1, 0.2, 0], [0, 0, 1]])
+    lift = model.joint("lift").id
+    assert [model.sensor("where").objid[0], model.actuator("lift").trnid[0], model.eq_obj2id[0]] == [lift] * 3
+    assert [str(c) for c in patched.changes] == [
+        "joint lift: second joint none -> lift_deflection, range -0.015 0.015 rad; the measured position is lift + "
+        "lift_deflection",
+        "key home: qpos 3 values -> 0 for lift_deflection too",
+        "key home: qvel 3 values -> 0 for lift_deflection too",
+    ]
+
+
+def test_a_rotor_without_inertia_and_long_steps_are_changed_for_a_second_joint(tmp_path: Path) -> None:
+    text = arm().replace('armature=".01" ', "").replace('timestep="0.002"', 'timestep="0.01"')
+    rival = split_as(load(written(tmp_path, text), STEP), Behind("lift", "elastic_joint", "motor"))
+    terms = np.zeros(len(rival.terms))
+    terms[-1] = 1 / 30
+    patched = patch(rival, rival.nominal, terms, tmp_path)
+    model, rotor = mujoco.MjModel.from_xml_string(patched.xml), rival.model.joint("lift").armature[0]
+    assert model.joint("lift").armature[0] == pytest.approx(rotor, rel=1e-5)
+    assert rotor > 0
+    assert model.opt.timestep == pytest.approx(rival.model.opt.timestep)
+    second, armature, timestep = map(str, patched.changes)
+    assert second.startswith("joint lift: second joint none -> lift_deflection, stiffness 30 N m/rad, damping 0.")
+    assert second.endswith(" N m s/rad; the measured position is lift")
+    assert armature == f"joint lift: armature 0 -> {rotor:.6g}"
+    assert timestep == f"option: timestep 0.01 -> {rival.model.opt.timestep:.6g}"

@@ -8,7 +8,6 @@ from arms import arm
 
 from simgap.engines import split_of
 from simgap.simulators.mujoco import MujocoEngine, load
-from simgap.simulators.mujoco.split import as_mjcf
 
 STEP = 0.02
 SPRING = '<joint name="lift_deflection" axis="0 1 0" stiffness="{k}" damping="{d}"/>'
@@ -84,11 +83,3 @@ def test_a_joint_before_another_in_its_body_is_not_split(tmp_path: Path) -> None
 
 def test_only_engines_with_hidden_states_have_rivals() -> None:
     assert split_of(object(), "lift") == ()  # type: ignore[arg-type]
-
-
-def test_the_line_for_the_model_is_mjcf_that_compiles(tmp_path: Path) -> None:
-    plain = engine(tmp_path, arm())
-    words = as_mjcf(plain.source.spec, "lift", "link_backlash", 0.03)
-    line = words[words.index("<joint") : words.index("/>") + 2]
-    model = mujoco.MjModel.from_xml_string(arm().replace('armature=".01" />', 'armature=".01" />' + line))
-    np.testing.assert_allclose(model.joint("lift_deflection").range, [-0.015, 0.015])
