@@ -19,7 +19,7 @@ MOST_SITES = 6
 RIVAL = 0.03
 """Minimum expected gain of an alternative, as a share of that of the effect chosen at the same time."""
 LIKELY = 0.3
-"""Minimum posterior probability for an effect to be named: each of three equally likely ones still has it."""
+"""Minimum probability of a name: each of three equally likely ones still has it, if the cause is surely among them."""
 KNOWN = 0.5
 """Minimum probability, calibrated on machines drawn at random, that the cause is among the names of an effect for it to
 be named: below, it is likelier that it has no name."""

@@ -4,7 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.config import EXPLAINED, KNOWN
+from simgap.diagnosis.config import EXPLAINED, KNOWN, LIKELY
+from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import gain
 from simgap.diagnosis.inference.posterior import deviations_for, differs_from_zero
@@ -69,7 +70,7 @@ def conclude(
     known = tuple(map(probability, marks))
     named = tuple(
         (beyond is None or m.hypothesis.effect.id in beyond.ids)
-        and known[i] >= KNOWN
+        and is_likely(m, known[i])
         and _is_named(found, judged, i, rng)
         for i, m in enumerate(found.members)
     )
@@ -106,6 +107,11 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
     if seen.undetectable_effects or seen.unexcited_channels:
         return "inconclusive"
     return "parameters_only" if moved else "nothing"
+
+
+def is_likely(member: Member, known: float) -> bool:
+    """Whether an effect is likely enough for its name. known: probability that the cause is among its names."""
+    return known >= KNOWN and known * member.odds[member.hypothesis.effect.id] >= LIKELY
 
 
 def _is_named(found: Explanation, judged: Judgement, i: int, rng: np.random.Generator) -> bool:

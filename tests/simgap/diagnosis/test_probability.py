@@ -1,12 +1,15 @@
 """The probability that the cause is among the names of an effect, from what speaks for and against it."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from simgap.diagnosis.config import KNOWN
-from simgap.diagnosis.validation.adequacy import Verdict
+from simgap.diagnosis.validation.adequacy import Verdict, is_likely
 from simgap.diagnosis.validation.calibration import TERMS, probability, within
 from simgap.diagnosis.validation.indicators import Indicators
 
@@ -38,6 +41,15 @@ def test_what_explains_all_there_is_has_its_name() -> None:
 )
 def test_what_stands_in_for_something_else_has_none(against: dict[str, float]) -> None:
     assert probability(PLAIN._replace(**against)) < KNOWN
+
+
+@pytest.mark.parametrize(
+    ("odds", "known", "likely"),
+    [(1.0, 0.49, False), (1.0, 0.51, True), (0.34, 0.95, True), (0.34, 0.7, False), (0.5, 0.55, False)],
+)
+def test_a_name_needs_a_likely_set_and_a_probability_of_its_own(odds: float, known: float, likely: bool) -> None:
+    member: Any = SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(id="lag")), odds={"lag": odds})
+    assert is_likely(member, known) == likely
 
 
 @given(indicators)
