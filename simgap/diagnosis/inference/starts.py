@@ -6,6 +6,7 @@ Fitted in turns, each would stay near the other: starts that were guessed with w
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -91,7 +92,7 @@ class _Begun(NamedTuple):
         """The problem whose segments begin that much further on."""
         state = np.array(self.problem.chunks.state)
         state[:, 0, self.hidden] += moves
-        return self.problem._replace(chunks=self.problem.chunks._replace(state=state))
+        return self.problem._replace(chunks=self.problem.chunks._replace(state=jnp.asarray(state)))
 
     def best_of(self, v: Variables, moves: Sequence[Float[np.ndarray, "C k"]]) -> "_Begun":
         """With other variables, and each segment with the one of some moves of its start that pays most."""

@@ -105,7 +105,7 @@ def chained(problem: Problem, v: Variables) -> Chunks:
             found = x[last, rows, hidden]
             state[chunk, 0, hidden] = np.where(np.isfinite(found), found, state[chunk, 0, hidden])
         last = chunk
-    return chunks._replace(state=state)
+    return chunks._replace(state=jnp.asarray(state))
 
 
 @partial(jax.jit, static_argnames="augmented")

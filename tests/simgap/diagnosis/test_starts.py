@@ -5,6 +5,7 @@ import pytest
 from tanks import FIRST, PARAMS, Tanks, recorded
 
 from simgap.diagnosis.inference.passes import explained
+from simgap.diagnosis.inference.spectral_line import _share_in_innovations
 from simgap.diagnosis.inference.starts import fitted_starts
 from simgap.diagnosis.likelihood.problem import Fit, Problem, estimates, evaluate, start
 from simgap.diagnosis.likelihood.scales import measure
@@ -47,6 +48,11 @@ def test_measured_states_and_what_is_scored_stay() -> None:
     before, _, after, _ = begun(guessed(Tanks(), recorded(1)))
     np.testing.assert_array_equal(after.chunks.state[..., 0], before.chunks.state[..., 0])
     np.testing.assert_array_equal(after.chunks.counts, before.chunks.counts)
+
+
+def test_a_wave_is_looked_for_in_segments_with_fitted_starts() -> None:
+    _, _, problem, fit = begun(guessed(Tanks(), recorded(1)))
+    assert 0.1 < _share_in_innovations(problem, fit, 0, 0.1, 0.2) < 2
 
 
 def test_a_model_that_is_not_free_stays() -> None:
