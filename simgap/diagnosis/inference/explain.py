@@ -18,7 +18,7 @@ from simgap.diagnosis.inference.nonparametric import no_law, nonparametric_law
 from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relaxation import misfits
-from simgap.diagnosis.inference.select import search
+from simgap.diagnosis.inference.select import Asked, search
 from simgap.diagnosis.inference.starts import begun_anew, fitted_starts, led
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
@@ -93,9 +93,7 @@ def explain(
     report(f"fitting the {len(simulator.parameters)} parameters to {len(sessions.fitted)} sessions")
     # Each change is fitted together with its twin. Otherwise an effect that acts all along, but that the baseline alone
     # was too short to show, would pass for a change.
-    best = _look(
-        asked, problem, unseen, [changed(h, len(baseline)) for h in throughout] if baseline else throughout, ()
-    )
+    best = _look(asked, problem, unseen, [changed(h, len(baseline)) for h in throughout] if baseline else throughout)
     changes = bool(baseline and best.members)  # then nothing else is searched for
     noise_terms = [] if changes else noise_effects(best.model.problem, best.model.fit, best.unseen)
     fit_before, outlier_gain = best.model.fit, sum(s.gain for s in noise_terms if s.rare)
@@ -162,16 +160,18 @@ def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording
     before, v = problem._replace(chunks=chunks), asked.nominal.v
     # The baseline has no held-out sessions.
     always = lambda *_: True  # noqa: E731
-    known = search(before, evaluate(before, v, ()), asked.throughout, always, asked.rng, asked.report).model.fit
+    every = Asked(asked.throughout, always, asked.rng, asked.report)
+    known = search(every, before, evaluate(before, v, ())).model.fit
     # A short baseline may determine parameters and filter gain so badly that the model diverges on other sessions.
     starts = known.v, v._replace(theta=known.v.theta)
     return max((evaluate(problem, v, known.groups) for v in starts), key=lambda fit: fit.loglik)
 
 
 def _look(
-    asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Hypothesis], supports: tuple[Support, ...]
-) -> _Found:
-    """Search for effects, then compare each with its alternatives."""
+    asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Hypothesis],
+    supports: tuple[Support, ...] = (), opening: str | None = None,
+) -> _Found:  # fmt: skip
+    """Search for effects, then compare each with its alternatives. opening: see `Asked`."""
 
     def confirmed(problem: Problem, trial: Trial, required: float) -> bool:
         fits = trial.without, trial.fit
@@ -187,7 +187,8 @@ def _look(
 
     nominal = asked.nominal
     v = nominal.v._replace(delta=np.zeros((max(len(supports), 1), nominal.v.delta.shape[1]), np.float32))
-    searched = search(problem, evaluate(problem, v, nominal.groups), hypotheses, holds_out, asked.rng, asked.report)
+    every = Asked(hypotheses, holds_out, asked.rng, asked.report, opening)
+    searched = search(every, problem, evaluate(problem, v, nominal.groups))
     model, members, rounds = defend(searched, hypotheses, holds_out, asked.rng, asked.report)
     unseen = tabulated(model.problem, model.fit.v, unseen)
     problem = problem._replace(chunks=model.problem.chunks, near=model.problem.near)
@@ -210,7 +211,8 @@ def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
         supports = (*best.supports, support)
         hypotheses = [*asked.throughout, *(h for i, s in enumerate(supports, 1) for h in _within(asked, s, i))]
         problem = best.problem._replace(chunks=opened(layout, best.problem.chunks, supports))
-        trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
+        opening = next((h.effect.id for h in best.searched.chosen), None)
+        trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports, opening)
         # The search may have taken a worse way than the one before.
         in_vain = best.supports and not any(m.hypothesis.support == support for m in trial.members)
         if not trial.members or in_vain or trial.model.density < best.model.density:

@@ -31,13 +31,18 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.engines import is_engine
 
 
-class _Asked(NamedTuple):
-    """The constant inputs of a search."""
+class Asked(NamedTuple):
+    """The constant inputs of a search.
+
+    opening: id of the effect with which an earlier search of these recordings began. It comes first if it is nearly as
+    likely as the likeliest. Without it, both beginnings are tried.
+    """
 
     hypotheses: Sequence[Hypothesis]
     holds_out: HeldOutCheck
     rng: np.random.Generator
     report: Reporter
+    opening: str | None = None
 
 
 class _Way(NamedTuple):
@@ -73,35 +78,28 @@ class _Step(NamedTuple):
     eligible: list[Trial]
 
 
-def search(
-    problem: Problem,
-    fit: Fit,
-    hypotheses: Sequence[Hypothesis],
-    holds_out: HeldOutCheck,
-    rng: np.random.Generator,
-    report: Reporter,
-) -> Found:
+def search(asked: Asked, problem: Problem, fit: Fit) -> Found:
     """Add effects one by one, each the best of those that exceed noise and hold on held-out sessions.
 
     An engine is first searched with its parameters held: fitted while an effect is missing, they go far and hide
     it. Every gain is over fitted parameters.
     """
-    asked, held_problem = _Asked(hypotheses, holds_out, rng, report), standing(problem)
+    held_problem = standing(problem)
     model = decorrelated(held_problem, optimise(held_problem, fit)[0])
     released, without = relinearised(model.problem, model.fit)
     begun = _Way(without, model, without, released, without.loglik - model.fit.loglik < SETTLED)
     end, opening = _to_the_end(asked, begun)
-    other = opening and _other_opening(opening, end)
-    instead = other and _added(asked, other)
+    other = _other_opening(opening, end) if opening and asked.opening is None else None
+    instead = _added(asked, other) if other else None
     if instead is None:
         return end.found
     second, _ = _to_the_end(asked, instead)
     ahead = second.evidence - end.evidence
-    report(f"a search that begins with {instead.chosen[0].name} ends with a model of {ahead:+.1f} nats")
+    asked.report(f"a search that begins with {instead.chosen[0].name} ends with a model of {ahead:+.1f} nats")
     return second.found if ahead > SETTLED else end.found
 
 
-def _to_the_end(asked: _Asked, way: _Way) -> tuple[_Way, _Step | None]:
+def _to_the_end(asked: Asked, way: _Way) -> tuple[_Way, _Step | None]:
     """Add effects while there are some to add. Also returns the step that added the first one."""
     opening = None
     while len({c.effect.id for c in way.chosen}) < MOST_EFFECTS and len(way.chosen) < MOST_SITES:
@@ -117,7 +115,7 @@ def _to_the_end(asked: _Asked, way: _Way) -> tuple[_Way, _Step | None]:
     return way, opening
 
 
-def _next_step(asked: _Asked, way: _Way) -> _Step:
+def _next_step(asked: Asked, way: _Way) -> _Step:
     """Fit what may be added."""
     current = one_more(way.model, asked.hypotheses, asked.rng, asked.report, way.chosen)
     now, problem = way.model.fit, way.model.problem
@@ -125,10 +123,13 @@ def _next_step(asked: _Asked, way: _Way) -> _Step:
     eligible = [t for t in current.tried if t.beyond > max(required, least(problem, way.base, now, t.fit))]
     if is_engine(problem.augmented.simulator):
         eligible = eligible[:FINALISTS]  # each takes further tables
+    if not way.chosen:
+        known = next((t for t in _near(eligible) if t.hypothesis.effect.id == asked.opening), None)
+        eligible.sort(key=lambda t: t is not known)
     return _Step(way, current, eligible)
 
 
-def _added(asked: _Asked, step: _Step) -> _Way | None:
+def _added(asked: Asked, step: _Step) -> _Way | None:
     """The search after the first eligible effect that holds, if one does."""
     way, current, eligible = step
     required = current.screening.threshold / 2
@@ -150,10 +151,13 @@ def _added(asked: _Asked, step: _Step) -> _Way | None:
     return None
 
 
+def _near(ordered: Sequence[Trial]) -> list[Trial]:
+    """Those that differ so little from the first one that the difference may only reflect misfit of the laws."""
+    return [t for t in ordered if t.evidence >= ordered[0].evidence - LEAST_SHARE * ordered[0].gain]
+
+
 def _other_opening(opening: _Step, end: _Way) -> _Step | None:
-    """The step with the likeliest effect of another id alone, if several effects are needed, and it is so near to the
-    one taken that the difference may only reflect misfit of the laws."""
-    taken = next(t for t in opening.eligible if t.hypothesis is end.chosen[0])
-    others = [t for t in opening.eligible if t.hypothesis.effect.id != taken.hypothesis.effect.id]
-    near = [t for t in others if t.evidence >= taken.evidence - LEAST_SHARE * taken.gain]
-    return opening._replace(eligible=near[:1]) if near and len(end.chosen) > 1 else None
+    """The step with the next near effect of another id alone, if several effects are needed."""
+    begun = next(i for i, t in enumerate(opening.eligible) if t.hypothesis is end.chosen[0])
+    others = [t for t in _near(opening.eligible[begun:]) if t.hypothesis.effect.id != end.chosen[0].effect.id]
+    return opening._replace(eligible=others[:1]) if others and len(end.chosen) > 1 else None
