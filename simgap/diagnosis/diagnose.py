@@ -38,8 +38,8 @@ class AugmentedModel(NamedTuple):
 
     phi: parameters. theta, delta, regimes: the effects' internal constants (see `Acting`). gain: filter gain.
     noise_scale, noise_dof: one-step noise of the innovations that `whiten` decorrelates. scales: those that the laws
-    refer to. behind: the hidden state that the simulator has besides its own, if one is named (see `Behind`). The
-    constants are then those of the engine that has it; gain and noise are those of `deflected`.
+    refer to. behind: the hidden state that is named, or nothing (see `Behind`). With one, phi and theta are of the
+    engine that has it, and gain and noise of the search (see `Deflected`).
     """
 
     phi: Float[np.ndarray, " p"]
@@ -167,20 +167,15 @@ def _replayed(
     if not is_engine(simulator) or (pieces := replay.pieces_of(heldout, simulator)) is None:
         return None
     pieces = for_heldout(layout, pieces, found.known_supports)
-    models = {name: (found.problem, model) for name, model in contestants.items() if name != "black_box"}
+    models = {n: replay.Run(found.problem, model, pieces) for n, model in contestants.items() if n != "black_box"}
     if (given := given_of(simulator)) is not simulator:
         augmented, nominal = Augmented(given), contestants["nominal"]
         as_given = nominal._replace(v=nominal.v._replace(phi=augmented.nominal))
-        models["given"] = found.problem._replace(augmented=augmented), as_given
-    if (hidden := deflected(found)) is None:
-        return replay.replay(models, pieces)
-    replayed = replay.replay({name: models[name] for name in models if name != "augmented"}, pieces)
-    # By itself, since it has more states than the others.
-    with_it = hidden.problem, Contestant(hidden.fit.v, regimes=found.regimes)
-    alone = replay.replay({"nominal": with_it}, hidden.chunks(pieces))
-    for position, other in zip(replayed["positions"], alone["positions"], strict=True):
-        position["errors"]["augmented"] = other["errors"]["nominal"]
-    return replayed
+        models["given"] = replay.Run(found.problem._replace(augmented=augmented), as_given, pieces)
+    if (hidden := deflected(found)) is not None:
+        with_it = Contestant(hidden.fit.v, regimes=found.regimes)
+        models["augmented"] = replay.Run(hidden.problem, with_it, hidden.chunks(pieces))
+    return replay.replay(models)
 
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[written.Plan | None, list[str]]:

@@ -143,10 +143,10 @@ def _parameters(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray,
 
 def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
     """Acceleration per unit of command, at rest."""
-    nil = np.zeros(len(machine.schema.state))
+    rest = np.zeros(len(machine.schema.state))
     command = np.eye(len(machine.schema.command))[0]
-    q, v = nil[machine.positions], nil[machine.velocities]
-    at = [np.array(machine.acceleration(np, params, q, v, u)) for u in (command, 0 * command)]
+    position, velocity = rest[machine.positions], rest[machine.velocities]
+    at = [np.array(machine.acceleration(np, params, position, velocity, u)) for u in (command, 0 * command)]
     return float(np.abs(at[0] - at[1]).max())
 
 

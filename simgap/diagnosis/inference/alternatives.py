@@ -17,6 +17,7 @@ from simgap.diagnosis.inference.model import (
     Reporter,
     Round,
     Trial,
+    cost,
     least,
     refitted_without,
     settled,
@@ -151,7 +152,7 @@ def compared(
     reflect misfit of the laws. The ratio of two likelihoods is itself uncertain: where its variance over blocks of rows
     exceeds that of a correct model (twice the mean), the ratio is scaled down accordingly [Vuong 1989].
     """
-    score = {k: float(d.sum()) - 0.5 * constants[k] * np.log(len(d)) for k, d in density.items()}
+    score = {k: float(d.sum()) - cost(constants[k], len(d)) for k, d in density.items()}
     logits = {}
     for k in density:
         deficit = max(score[lead] - score[k] - LEAST_SHARE * max(gain, 0.0), 0.0) if k != lead else 0.0

@@ -10,7 +10,7 @@ from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LIKELY, Z95
 from simgap.diagnosis.inference.alternatives import Member, compared
 from simgap.diagnosis.inference.explanation import Explanation, Hidden
 from simgap.diagnosis.inference.hidden import Gains, State, fitted, refitted
-from simgap.diagnosis.inference.model import Model, Reporter, without
+from simgap.diagnosis.inference.model import Model, Reporter, cost, without
 from simgap.diagnosis.inference.nonparametric import no_law
 from simgap.diagnosis.inference.null_distribution import blocks
 from simgap.diagnosis.inference.relinearise import itself
@@ -117,7 +117,7 @@ def _with(found: Explanation, contest: _Contest) -> Explanation:
     best = {s.term.effect: s for s in contest.states}
     both = _rows(found, contest)
     constants = {FOUND: sum(len(m.hypothesis.groups) for m in contest.replaced)} | dict.fromkeys(best, 1)
-    score = {k: float(d.sum()) - 0.5 * constants[k] * np.log(len(d)) for k, d in both.rows.items()}
+    score = {k: float(d.sum()) - cost(constants[k], len(d)) for k, d in both.rows.items()}
     lead = max(score, key=lambda k: score[k])
     gained = (contest.own if lead == FOUND else best[lead]).loglik - contest.base.loglik
     odds = compared(both.rows, constants, both.starts, lead, gained)

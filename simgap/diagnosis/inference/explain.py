@@ -18,7 +18,7 @@ from simgap.diagnosis.inference.nonparametric import no_law, nonparametric_law
 from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.posterior import spread
 from simgap.diagnosis.inference.relaxation import misfits
-from simgap.diagnosis.inference.select import Asked, search
+from simgap.diagnosis.inference.select import Inputs, search
 from simgap.diagnosis.inference.starts import begun_anew, fitted_starts, led
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
@@ -160,8 +160,8 @@ def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording
     before, v = problem._replace(chunks=chunks), asked.nominal.v
     # The baseline has no held-out sessions.
     always = lambda *_: True  # noqa: E731
-    every = Asked(asked.throughout, always, asked.rng, asked.report)
-    known = search(every, before, evaluate(before, v, ())).model.fit
+    inputs = Inputs(asked.throughout, always, asked.rng, asked.report)
+    known = search(inputs, before, evaluate(before, v, ())).model.fit
     # A short baseline may determine parameters and filter gain so badly that the model diverges on other sessions.
     starts = known.v, v._replace(theta=known.v.theta)
     return max((evaluate(problem, v, known.groups) for v in starts), key=lambda fit: fit.loglik)
@@ -171,7 +171,7 @@ def _look(
     asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Hypothesis],
     supports: tuple[Support, ...] = (), opening: str | None = None,
 ) -> _Found:  # fmt: skip
-    """Search for effects, then compare each with its alternatives. opening: see `Asked`."""
+    """Search for effects, then compare each with its alternatives. opening: see `select.Inputs`."""
 
     def confirmed(problem: Problem, trial: Trial, required: float) -> bool:
         fits = trial.without, trial.fit
@@ -187,8 +187,8 @@ def _look(
 
     nominal = asked.nominal
     v = nominal.v._replace(delta=np.zeros((max(len(supports), 1), nominal.v.delta.shape[1]), np.float32))
-    every = Asked(hypotheses, holds_out, asked.rng, asked.report, opening)
-    searched = search(every, problem, evaluate(problem, v, nominal.groups))
+    inputs = Inputs(hypotheses, holds_out, asked.rng, asked.report, opening)
+    searched = search(inputs, problem, evaluate(problem, v, nominal.groups))
     model, members, rounds = defend(searched, hypotheses, holds_out, asked.rng, asked.report)
     unseen = tabulated(model.problem, model.fit.v, unseen)
     problem = problem._replace(chunks=model.problem.chunks, near=model.problem.near)

@@ -61,7 +61,7 @@ class Trial(NamedTuple):
     @property
     def evidence(self) -> float:
         """Gain [nats] beyond what as many constants gain by chance."""
-        return self.gain - cost_of([self.hypothesis], len(self.fit.e))
+        return self.gain - cost(len(self.hypothesis.groups), len(self.fit.e))
 
     @property
     def promise(self) -> float:
@@ -112,9 +112,9 @@ def decorrelated(problem: Problem, fit: Fit) -> Model:
     return Model(problem, *optimise(problem, evaluate(problem, fit.v, fit.groups)))
 
 
-def cost_of(hypotheses: Sequence[Hypothesis], rows: int) -> float:
-    """What the hypotheses' constants cost next to their gain [nats]: log(rows) / 2 each [Schwarz 1978]."""
-    return 0.5 * sum(len(h.groups) for h in hypotheses) * float(np.log(rows))
+def cost(constants: int, rows: int) -> float:
+    """What free constants cost next to their gain [nats]: log(rows) / 2 each [Schwarz 1978]."""
+    return 0.5 * constants * float(np.log(rows))
 
 
 def absorbing(model: Model) -> Float[np.ndarray, "M n s"]:

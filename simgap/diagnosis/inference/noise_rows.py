@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from simgap.diagnosis.config import REQUIRED_OF_NOISE, SET_ASIDE, SURE_OF_NOISE
 from simgap.diagnosis.inference import row_mixture
 from simgap.diagnosis.inference.alternatives import compared
+from simgap.diagnosis.inference.model import cost
 from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect
 from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, growths, robot_of, sample_of
 from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
@@ -78,7 +79,7 @@ def explained(robot: Robot, noise: Noise, training: Sample, heldout: Sample) -> 
 
 def _score(f: Fitted) -> float:
     """Log-likelihood minus 0.5 log n per constant."""
-    return float(f.density.sum()) - 0.5 * f.constants * np.log(max(len(f.density), 1))
+    return float(f.density.sum()) - cost(f.constants, max(len(f.density), 1))
 
 
 def _significant(f: Fitted, plain: Fitted, independent: Float[np.ndarray, " n"], starts: np.ndarray) -> bool:

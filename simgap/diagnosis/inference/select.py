@@ -20,7 +20,7 @@ from simgap.diagnosis.inference.model import (
     Reporter,
     Round,
     Trial,
-    cost_of,
+    cost,
     decorrelated,
     least,
 )
@@ -31,7 +31,7 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.engines import is_engine
 
 
-class Asked(NamedTuple):
+class Inputs(NamedTuple):
     """The constant inputs of a search.
 
     opening: id of the effect with which an earlier search of these recordings began. It comes first if it is nearly as
@@ -67,7 +67,7 @@ class _Way(NamedTuple):
     @property
     def evidence(self) -> float:
         """Of the model so far [nats]."""
-        return self.model.density - cost_of(self.chosen, len(self.without.e))
+        return self.model.density - cost(sum(len(h.groups) for h in self.chosen), len(self.without.e))
 
 
 class _Step(NamedTuple):
@@ -78,7 +78,7 @@ class _Step(NamedTuple):
     eligible: list[Trial]
 
 
-def search(asked: Asked, problem: Problem, fit: Fit) -> Found:
+def search(inputs: Inputs, problem: Problem, fit: Fit) -> Found:
     """Add effects one by one, each the best of those that exceed noise and hold on held-out sessions.
 
     An engine is first searched with its parameters held: fitted while an effect is missing, they go far and hide
@@ -88,23 +88,23 @@ def search(asked: Asked, problem: Problem, fit: Fit) -> Found:
     model = decorrelated(held_problem, optimise(held_problem, fit)[0])
     released, without = relinearised(model.problem, model.fit)
     begun = _Way(without, model, without, released, without.loglik - model.fit.loglik < SETTLED)
-    end, opening = _to_the_end(asked, begun)
-    other = _other_opening(opening, end) if opening and asked.opening is None else None
-    instead = _added(asked, other) if other else None
+    end, opening = _to_the_end(inputs, begun)
+    other = _other_opening(opening, end) if opening and inputs.opening is None else None
+    instead = _added(inputs, other) if other else None
     if instead is None:
         return end.found
-    second, _ = _to_the_end(asked, instead)
+    second, _ = _to_the_end(inputs, instead)
     ahead = second.evidence - end.evidence
-    asked.report(f"a search that begins with {instead.chosen[0].name} ends with a model of {ahead:+.1f} nats")
+    inputs.report(f"a search that begins with {instead.chosen[0].name} ends with a model of {ahead:+.1f} nats")
     return second.found if ahead > SETTLED else end.found
 
 
-def _to_the_end(asked: Asked, way: _Way) -> tuple[_Way, _Step | None]:
+def _to_the_end(inputs: Inputs, way: _Way) -> tuple[_Way, _Step | None]:
     """Add effects while there are some to add. Also returns the step that added the first one."""
     opening = None
     while len({c.effect.id for c in way.chosen}) < MOST_EFFECTS and len(way.chosen) < MOST_SITES:
-        step = _next_step(asked, way)
-        after = _added(asked, step)
+        step = _next_step(inputs, way)
+        after = _added(inputs, step)
         if after is None and way.refitted:
             return way._replace(rounds=(*way.rounds, step.current)), opening
         if after is None:
@@ -115,33 +115,33 @@ def _to_the_end(asked: Asked, way: _Way) -> tuple[_Way, _Step | None]:
     return way, opening
 
 
-def _next_step(asked: Asked, way: _Way) -> _Step:
+def _next_step(inputs: Inputs, way: _Way) -> _Step:
     """Fit what may be added."""
-    current = one_more(way.model, asked.hypotheses, asked.rng, asked.report, way.chosen)
+    current = one_more(way.model, inputs.hypotheses, inputs.rng, inputs.report, way.chosen)
     now, problem = way.model.fit, way.model.problem
     required = current.screening.threshold / 2
     eligible = [t for t in current.tried if t.beyond > max(required, least(problem, way.base, now, t.fit))]
     if is_engine(problem.augmented.simulator):
         eligible = eligible[:FINALISTS]  # each takes further tables
     if not way.chosen:
-        known = next((t for t in _near(eligible) if t.hypothesis.effect.id == asked.opening), None)
+        known = next((t for t in _near(eligible) if t.hypothesis.effect.id == inputs.opening), None)
         eligible.sort(key=lambda t: t is not known)
     return _Step(way, current, eligible)
 
 
-def _added(asked: Asked, step: _Step) -> _Way | None:
+def _added(inputs: Inputs, step: _Step) -> _Way | None:
     """The search after the first eligible effect that holds, if one does."""
     way, current, eligible = step
     required = current.screening.threshold / 2
     for t in eligible:
         retabulated, best = carried_on(way.model.problem, t, way.without)
         if best is not t and best.beyond <= max(required, least(retabulated, way.base, way.without, best.fit)):
-            asked.report(f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")
+            inputs.report(f"{t.hypothesis.name} rejected: it gains too little over fitted parameters")
             continue
-        if not asked.holds_out(retabulated, best, required):
-            asked.report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions")
+        if not inputs.holds_out(retabulated, best, required):
+            inputs.report(f"{t.hypothesis.name} rejected: it does not hold on held-out sessions")
             continue
-        asked.report(f"added {best.hypothesis.name} ({best.gain:+.1f} nats)")
+        inputs.report(f"added {best.hypothesis.name} ({best.gain:+.1f} nats)")
         model = decorrelated(*begun_anew(for_all(retabulated, best.fit.v), best.fit))
         # The accepted hypothesis comes first: its rivals are compared with it.
         tried = [best, *(t for t in current.tried if t.hypothesis is not best.hypothesis)]

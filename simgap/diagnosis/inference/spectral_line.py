@@ -9,6 +9,7 @@ from scipy.special import gammaincc, stdtrit
 
 from simgap.diagnosis.config import LINE_LEVEL, REQUIRED_OF_NOISE, STRONGER
 from simgap.diagnosis.inference.alternatives import compared
+from simgap.diagnosis.inference.model import cost
 from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect, Spectrum
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
@@ -123,7 +124,7 @@ def _odds(pieces: _Pieces, k: int, output: int, above: float) -> dict[str, float
         driven = (power - np.abs(x - response * u) ** 2 / POWER) / level
         if driven.sum() > density[OTHER].sum():
             density[OTHER] = driven
-    score = {name: d.sum() - 0.5 * constants[name] * np.log(len(power)) for name, d in density.items()}
+    score = {name: d.sum() - cost(constants[name], len(power)) for name, d in density.items()}
     lead = max(score, key=lambda name: score[name])
     if lead == OTHER:
         return None

@@ -15,10 +15,11 @@ from simgap.engines import Behind, is_engine, split_as
 
 
 class Deflected(NamedTuple):
-    """An engine with a hidden state, the last of its states, and all that was fitted with it or is left beside it.
+    """An engine with a hidden state, and the model that was fitted with it: parameters, the state's constant, and the
+    effects that it does not replace.
 
-    fit: its constants. Innovations, noise and the filter's gain are those of the search, where other effects stand in
-    for the hidden state; nothing measured corrects it.
+    Innovations, noise and the filter's gain are those of the search, where other effects stand in for the hidden state.
+    No measurement corrects that state.
     """
 
     behind: Behind

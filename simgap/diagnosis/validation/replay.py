@@ -1,9 +1,10 @@
 """Open-loop errors on held-out sessions: models run for seconds without corrections by measurements."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import MOST, RUN_IN, Chunks, thinning
@@ -27,19 +28,27 @@ def pieces_of(heldout: Sequence[Recording], engine: Engine) -> Chunks | None:
     return windows(heldout, engine.time_step, rows, thinning(heldout, MOST) * rows) if rows > 0 else None
 
 
-def replay(models: Mapping[str, tuple[Problem, Contestant]], pieces: Chunks) -> dict[str, Any]:
-    """Root mean square error of every measured position over the pieces, by model, in the position's unit.
+class Run(NamedTuple):
+    """A model, and the pieces that it replays. All models of a replay have the same rows and measured states; an engine
+    may have unmeasured states of its own, which come last."""
 
-    Each model has a problem of its own, which differ in the engine alone.
-    """
-    augmented = models["nominal"][0].augmented
-    simulator, rows = augmented.simulator, pieces.state.shape[1] - RUN_IN - 1
+    problem: Problem
+    model: Contestant
+    pieces: Chunks
+
+    @property
+    def residuals(self) -> Float[np.ndarray, "C T s"]:
+        """Measured states minus the replayed ones."""
+        measured = np.asarray(self.pieces.state)[:, RUN_IN + 1 :]
+        return by_row(wrapped, self.problem.augmented.layout, measured - forecast(*self))
+
+
+def replay(models: Mapping[str, Run]) -> dict[str, Any]:
+    """Root mean square error of every measured position over the pieces, by model, in the position's unit."""
+    pieces, simulator = models["nominal"].pieces, models["nominal"].problem.augmented.simulator
+    rows = pieces.state.shape[1] - RUN_IN - 1
     fields = [(i, f) for i, f in enumerate(simulator.schema.outputs) if f.kind in ("position", "angle")]
-    measured = np.asarray(pieces.state)[:, RUN_IN + 1 :]
-    residuals = {
-        name: by_row(wrapped, augmented.layout, measured - forecast(problem, model, pieces))
-        for name, (problem, model) in models.items()
-    }
+    residuals = {name: run.residuals for name, run in models.items()}
     errors = {name: np.sqrt(np.mean(np.square(e, dtype=float), axis=(0, 1))) for name, e in residuals.items()}
     return {
         "seconds": rows * simulator.time_step, "pieces": len(pieces.row),
