@@ -110,6 +110,11 @@ class Augmented:
         """Index in the catalogue of the effect of each entry of theta."""
         return np.array([slot.effect for slot in self.slots], int)
 
+    @cached_property
+    def folding(self) -> Bool[np.ndarray, " P"]:
+        """Which entries of theta are constants of an effect that folds."""
+        return np.array([self.catalogue[slot.effect].folds for slot in self.slots], bool)
+
     def lean(self, few: int, *thetas: Float[np.ndarray, "... P"]) -> "Augmented":
         """A simulator with only the laws that have a nonzero constant in any of `thetas`; itself if more than `few` do.
 

@@ -54,6 +54,11 @@ def _drift(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: 
     return state + padded(c[0], state) * row.time_s / 60
 
 
+def _rectified(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
+    """y where it is positive, (1 - 2 c) y where it is negative: the size alone where c is one."""
+    return jnp.where(state < 0, (1 - 2 * padded(c[0], state)) * state, state)
+
+
 def padded(c: Float[Array, " o"], state: Float[Array, " s"]) -> Float[Array, " s"]:
     """Constants of the outputs, padded with zeros for the states that are not observed, which come last."""
     return c if len(c) == len(state) else jnp.pad(c, (0, len(state) - len(c)))
@@ -82,5 +87,11 @@ EFFECTS = (
     Effect(
         "sensor_bias", "sensing", (Constant("drift", "{u}/min"),), output_sites, _drifting, _drift,
         "a measured output drifts off by {drift}", form="drift",
+    ),
+    Effect(
+        "rectified_sensor", "sensing", (Constant("ratio", "-", lambda c, site, scales: 2 * c - 1, 0.0, 2.0),),
+        output_sites, lambda scales, site: [[1.0]], _rectified,
+        "a sensor loses the sign: it shows negative values as positive ones, {ratio} times as large", tie="same_unit",
+        folds=True,
     ),
 )  # fmt: skip

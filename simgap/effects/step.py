@@ -204,10 +204,23 @@ def sense(
     return state
 
 
+def sensed(
+    augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], row: Row, active: Active = None
+) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
+    """What is measured of a state (`sense`), and how much more that would be, per unit, if the state always exceeded
+    itself: minus one where a sensor shows the size alone of a negative value."""
+
+    def of(more: Float[Array, " s"]) -> Float[Array, " s"]:
+        return sense(augmented, theta, memory._replace(states=memory.states + more), state + more, row, active)
+
+    return jax.jvp(of, (jnp.zeros_like(state),), (jnp.ones_like(state),))
+
+
 def unsense(
     augmented: Augmented, theta: Theta, measured: Float[Array, " s"], time_s: Float[Array, ""]
 ) -> Float[Array, " s"]:
-    """The state at rest that gives a measurement: inverts bias, its drift, and scale."""
+    """The state at rest that gives a measurement: inverts bias, its drift, and scale. Of two such states, that with
+    the sign of the measurement."""
     found = {law.effect.key: law.c[0] for law in augmented.laws(theta, None, "sensing")}
 
     def of(key: str) -> Float[Array, " s"] | float:

@@ -183,6 +183,12 @@ def _old_reading(rng: np.random.Generator, size: float, row: float, rate: float)
 
 
 def _rectified(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
+    """A sensor loses the sign; its answers to both signs differ a little."""
+    ratio = rng.uniform(0.9, 1.1)
+    return Curve(lambda v: np.where(v < 0, -ratio * v, v))
+
+
+def _lopsided(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
     """Of speeds of one sign a sensor shows less, nothing, or the other sign."""
     share, side = 4 * size, rng.choice([-1, 1])
     return Curve(lambda v: v - share * side * np.maximum(side * v, 0.0))
@@ -222,7 +228,8 @@ FAMILIES: dict[str, Family] = {
     "sensor_scale": Family(_named("sensor_scale"), _sensor_scale, READ),
     "sensor_bias": Family(_named("sensor_bias"), _sensor_bias, READ),
     "old_reading": Family(_named("sensor_delay"), _old_reading, READ),
-    "rectified": Family(_named(), _rectified, READ),
+    "lopsided": Family(_named(), _lopsided, READ),
+    "rectified": Family(_named("rectified_sensor"), _rectified, READ),
 }
 EQUIVALENT = {
     **{(machine, "bias"): _named("sensor_bias") for machine in HELD},

@@ -27,8 +27,9 @@ class AugmentedSimulator:
     theta holds everywhere; in each of `regimes` a row of `delta` is added. frozen_scales: the `Scales` of the
     recordings in which the constants were found and to which they refer, as tuples, so that they can be hashed.
 
-    Delays of outputs are not inverted, as one state does not say how fast it was reached. The inputs of a learning
-    problem hold no session time; the middle of the longest session is used.
+    States have their signs, also those whose sensor loses it. Delays of outputs are not inverted, as one state does not
+    say how fast it was reached. The inputs of a learning problem hold no session time; the middle of the longest
+    session is used.
     """
 
     simulator: Simulator
@@ -127,7 +128,8 @@ class AugmentedSimulator:
         memory = remember(augmented, params, theta, start, Earlier(past, states=(start - moved)[None]), row.time_s)
         memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
         at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
-        return sense(augmented, theta, at_rest, then, row)
+        # The next step needs the sign.
+        return sense(augmented, np.where(augmented.folding, 0.0, theta), at_rest, then, row)
 
     def to_body(self, state: Float[Array, " s"]) -> Float[Array, " s"]:
         """The simulator's own."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from simgap.diagnosis.config import LEAST_SHARE, MOST_EFFECTS, MOST_SITES
 from simgap.diagnosis.hypotheses.space import Hypothesis
+from simgap.diagnosis.inference.folded import without_sign
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import (
     SETTLED,
@@ -117,7 +118,8 @@ def _to_the_end(inputs: Inputs, way: _Way) -> tuple[_Way, _Step | None]:
 
 def _next_step(inputs: Inputs, way: _Way) -> _Step:
     """Fit what may be added."""
-    current = one_more(way.model, inputs.hypotheses, inputs.rng, inputs.report, way.chosen)
+    own = without_sign(way.model, inputs.hypotheses)
+    current = one_more(way.model, inputs.hypotheses, inputs.rng, inputs.report, way.chosen, own)
     now, problem = way.model.fit, way.model.problem
     required = current.screening.threshold / 2
     eligible = [t for t in current.tried if t.beyond > max(required, least(problem, way.base, now, t.fit))]

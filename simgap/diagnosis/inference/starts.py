@@ -16,6 +16,8 @@ from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_c
 from simgap.diagnosis.likelihood.directions import directions, prior_offset, room_to_move, step_from
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
+from simgap.diagnosis.likelihood.segments import until_last
+from simgap.diagnosis.likelihood.signs import signed
 from simgap.diagnosis.likelihood.student_t import log_density, weights
 from simgap.diagnosis.likelihood.unmeasured import by_start, chained, sloped
 from simgap.engines import is_engine
@@ -36,7 +38,7 @@ def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Proble
     if problem.augmented.layout.observed.all():
         return problem, fit
     scored = problem.chunks.counts
-    begun = problem._replace(chunks=problem.chunks._replace(counts=_until_last(np.asarray(scored))))
+    begun = problem._replace(chunks=problem.chunks._replace(counts=until_last(np.asarray(scored))))
     now = _Begun(begun, evaluate(begun, fit.v, fit.groups))
     if not np.isfinite(now.fit.loglik):
         return problem, fit
@@ -53,11 +55,15 @@ def fitted_starts(problem: Problem, fit: Fit, free: bool = True) -> tuple[Proble
 
 
 def begun_anew(problem: Problem, fit: Fit, free: bool = True) -> tuple[Problem, Fit]:
-    """As `fitted_starts`, while fits are compared: otherwise an effect could gain by making up for wrong starts.
+    """As `fitted_starts`, while fits are compared: otherwise an effect could gain by making up for wrong starts. Also
+    with the signs that a sensor does not show (`signed`).
 
-    Nothing changes unless starts are `led` by the model. Slopes of positions are good guesses of velocities without any
+    Other starts stay unless they are `led` by the model. Slopes of positions are good guesses of velocities without any
     model; starts fitted by a model that lacks an effect would hide that effect.
     """
+    begun = signed(problem, fit.v)
+    if begun is not problem:
+        problem, fit = begun, evaluate(begun, fit.v, fit.groups)
     return fitted_starts(problem, fit, free) if led(problem) else (problem, fit)
 
 
@@ -66,11 +72,6 @@ def led(problem: Problem) -> bool:
     hold only near the starts with which they were made."""
     layout = problem.augmented.layout
     return len(sloped(layout)) < (~layout.observed).sum() and not is_engine(problem.augmented.simulator)
-
-
-def _until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:
-    """Rows up to the last scored one of each segment."""
-    return np.logical_or.accumulate(scored[:, ::-1], axis=1)[:, ::-1]
 
 
 class _Begun(NamedTuple):

@@ -22,13 +22,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks, bare
-from simgap.diagnosis.likelihood.traced import advance, remember, sense
+from simgap.diagnosis.likelihood.traced import advance, remember, sensed
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
 from simgap.effects.step import follow, unsense
 from simgap.effects.stepping import terms_of
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
+
+LEAST_SLOPE = 0.05
+"""Slope of a sensor below which its innovations are not divided by it."""
 
 
 class Variables(NamedTuple):
@@ -49,6 +52,15 @@ def innovation(augmented: Augmented, y: Float[Array, "... s"], seen: Float[Array
     """Measurement minus prediction; zero for states that are not measured."""
     e, observed = wrapped(augmented.layout, y - seen), augmented.layout.observed
     return e if observed.all() else jnp.where(observed, e, 0.0)
+
+
+def in_state(e: Float[Array, "... s"], slope: Float[Array, "... s"]) -> Float[Array, "... s"]:
+    """The change of the state that changes its measurement by an innovation. slope: of the sensors (`step.sensed`).
+
+    Without it, a scale of a sensor would also be a gain of the filter beyond its bound. Where a sensor shows almost
+    nothing of a change, the innovation itself.
+    """
+    return e / jnp.where(jnp.abs(slope) < LEAST_SLOPE, 1.0, slope)
 
 
 def gain_matrix(augmented: Augmented, scales: Scales, v: Variables) -> Float[Array, "s s"]:
@@ -98,22 +110,22 @@ def _filter_segment(
         memory, x = carry
         y_next, u, time_s, next_s, interval, gate, table = now
 
-        def step(theta: Theta) -> tuple[Memory, Float[Array, " s"], Float[Array, " s"]]:
+        def step(theta: Theta) -> tuple[Memory, *tuple[Float[Array, " s"], ...]]:
             here, theta = Row(time_s, interval, table), acting(v, theta, gate)
             after, predicted = advance(augmented, phi, theta, scales, memory, x, u, here, active)
-            seen = sense(augmented, theta, after, predicted, here._replace(time_s=next_s), active)
-            return after, predicted, innovation(augmented, y_next, seen)
+            seen, slope = sensed(augmented, theta, after, predicted, here._replace(time_s=next_s), active)
+            return after, predicted, innovation(augmented, y_next, seen), slope
 
         if other is None:
-            after, predicted, e = step(v.theta)
+            after, predicted, e, slope = step(v.theta)
             reported = e
         else:
             # Map over both sets of constants, so that the step is compiled once.
-            afters, predictions, innovations = jax.lax.map(step, jnp.stack([v.theta, other]))
-            after, predicted, e = jax.tree.map(lambda a: a[0], (afters, predictions, innovations))
-            reported = innovations[1]
+            both = jax.lax.map(step, jnp.stack([v.theta, other]))
+            after, predicted, e, slope = jax.tree.map(lambda a: a[0], both)
+            reported = both[2][1]
         outputs = len(augmented.layout.schema.outputs)
-        return (after, corrected(augmented.layout, K, predicted, e)), (x, reported[:outputs])
+        return (after, corrected(augmented.layout, K, predicted, in_state(e, slope))), (x, reported[:outputs])
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
     rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:, :-1].T, chunk.table)

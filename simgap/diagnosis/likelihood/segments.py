@@ -172,6 +172,11 @@ def bare(chunks: Chunks) -> Chunks:
     return chunks._replace(session=zeros, row=zeros)
 
 
+def until_last(scored: Bool[np.ndarray, "C t"]) -> Bool[np.ndarray, "C t"]:
+    """Rows up to the last scored one of each segment."""
+    return np.logical_or.accumulate(scored[:, ::-1], axis=1)[:, ::-1]
+
+
 def counted(chunks: Chunks, e: np.ndarray) -> np.ndarray:
     """The scored rows of e, in order: [..., n, s]."""
     e = np.asarray(e)

@@ -8,4 +8,6 @@ import jax
 
 from simgap.effects import step
 
-advance, remember, sense = (jax.jit(f, static_argnames="augmented") for f in (step.advance, step.remember, step.sense))
+advance, remember, sensed = (
+    jax.jit(f, static_argnames="augmented") for f in (step.advance, step.remember, step.sensed)
+)

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, innovation
+from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, in_state, innovation
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, excerpt, sources_of
-from simgap.diagnosis.likelihood.traced import advance, remember, sense
+from simgap.diagnosis.likelihood.signs import signed
+from simgap.diagnosis.likelihood.traced import advance, remember, sensed
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Earlier, Memory, Row, Scales
@@ -59,6 +60,9 @@ def forecast(problem: Problem, model: Contestant, pieces: Chunks) -> Float[np.nd
 
     An effect with a support acts where its gate is open and the predicted state is in its regime.
     """
+    # The sign at a start is found in the run-in: what comes after it is to be forecast.
+    in_run_in = np.broadcast_to(np.arange(pieces.counts.shape[1]) < RUN_IN, pieces.counts.shape)
+    pieces = signed(problem._replace(chunks=pieces), model.v, in_run_in).chunks
     augmented, scales = problem.augmented.lean(FEW, model.v.theta, model.v.delta), problem.scales
     model = model if model.box is not None else model._replace(box=silent(augmented.layout))
     count = len(pieces.row)
@@ -138,7 +142,8 @@ def _segment(
         memory, x = advance(augmented, phi, theta, scales, memory, x, u, timing, active)
         # In the run-in the filter works without the box, as it did when the box was trained on its innovations.
         x = x + (1 - trust) * added
-        y = sense(augmented, theta, memory, x, timing._replace(time_s=next_s), active)
-        return (memory, corrected(augmented.layout, trust * K, x, innovation(augmented, y_next, y))), y
+        y, slope = sensed(augmented, theta, memory, x, timing._replace(time_s=next_s), active)
+        e = in_state(innovation(augmented, y_next, y), slope)
+        return (memory, corrected(augmented.layout, trust * K, x, e)), y
 
     return jax.vmap(lambda filtered, rows: jax.lax.scan(row, filtered, rows))(filtered, rows)

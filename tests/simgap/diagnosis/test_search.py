@@ -89,6 +89,7 @@ UNSEEN = {
     "hysteresis.elastic": "as well",
     "tyre_slip.sideways": "of cars: see test_tyres",
     "tyre_slip.turning": "as well",
+    "rectified_sensor": "speeds of robots are never shown without sign: see test_rectified",
 }
 
 

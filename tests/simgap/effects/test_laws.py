@@ -31,11 +31,11 @@ VOCABULARY = {
     "slope", "body_frame_bias", "external_push", "reach_limit", "ground_contact", "gait_oscillation",
     "relative_smoothing", "frame_misalignment", "sampling_interval", "integration_rule", "motion_dependent_noise",
     "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "output_limit",
-    "tyre_slip", "stribeck_friction", "load_friction", "hysteresis",
+    "tyre_slip", "stribeck_friction", "load_friction", "hysteresis", "rectified_sensor",
 }  # fmt: skip
 ADDITIONS = {"induced_velocity", "constant_load"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}
-ABOUT_A_PLACE = {"sensor_scale", "nonlinear_spring", "output_limit"}
+ABOUT_A_PLACE = {"sensor_scale", "nonlinear_spring", "output_limit", "rectified_sensor"}
 ABOUT_A_WORLD_COORDINATE = {*ABOUT_A_PLACE, "sensor_bias"}
 
 ROBOTS = {"spot": Augmented(Spot()), "car": Augmented(CAR), "drive": Augmented(DRIVE)}
