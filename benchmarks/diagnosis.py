@@ -17,13 +17,13 @@ import numpy as np
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.explain import split
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.effects.augmented import Augmented
+from simgap.recordings import split
 from simgap.robots.operator import OperatorConfig, record
 from simgap.robots.virtual_spot import VirtualSpotConfig
 from simgap.simulators.spot import Spot

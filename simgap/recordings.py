@@ -158,3 +158,14 @@ def normalise(
 ) -> tuple[Float[Array, "N x"], Float[Array, "N y"]]:
     """Inputs and outputs less their mean, in units of their standard deviation."""
     return (x - stats.x_mean) / stats.x_std, (y - stats.y_mean) / stats.y_std
+
+
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Sessions to fit, and held-out sessions: every fourth, or the last of fewer; of a single one its last quarter."""
+    if len(recordings) == 1:
+        (r,) = recordings
+        edge = 3 * len(r.time_s) // 4
+        part = lambda name, rows: Recording(name, r.time_s[rows], r.state[rows], r.command[rows])  # noqa: E731
+        return [part(r.name, slice(0, edge))], [part(f"{r.name} (last quarter)", slice(edge, None))]
+    held = set(range(3, len(recordings), 4)) or {len(recordings) - 1}
+    return [r for i, r in enumerate(recordings) if i not in held], [r for i, r in enumerate(recordings) if i in held]

@@ -10,12 +10,11 @@ from jaxtyping import PRNGKeyArray
 from prefect import task
 
 from simgap import learn, scores
-from simgap.diagnosis.inference.explain import split
 from simgap.formats.documents import read_json, write_json
 from simgap.formats.folders import remove_file
 from simgap.formats.recordings import digest, read_recordings
 from simgap.prediction import Model
-from simgap.recordings import HISTORY, to_transitions
+from simgap.recordings import HISTORY, split, to_transitions
 from simgap.robots.twin import score
 from simgap.robots.twin.fit import NOISE, fit
 from simgap.robots.twin.model import Twin

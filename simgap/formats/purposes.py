@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from simgap import survey
 from simgap.derived import derived, sentence
-from simgap.diagnosis.inference.explain import split
 from simgap.engines import Engine
 from simgap.formats.recordings import digest, read_recordings
+from simgap.recordings import split
 from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
 
 

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.ground.families import FAMILIES, names_of
+from simgap.ground.families import FAMILIES
 from simgap.ground.laws import Law, Uneven
 from simgap.ground.machines import MACHINES, Machine
+from simgap.ground.names import names_of
 from simgap.types import Recording, Sessions
 
 USUAL, BRIEF = (6, 210), (2, 60)

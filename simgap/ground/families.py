@@ -231,24 +231,3 @@ FAMILIES: dict[str, Family] = {
     "lopsided": Family(_named(), _lopsided, READ),
     "rectified": Family(_named("rectified_sensor"), _rectified, READ),
 }
-EQUIVALENT = {
-    **{(machine, "bias"): _named("sensor_bias") for machine in HELD},
-    **{(machine, "hardening"): _named("nonlinear_spring") for machine in STAYING},
-    **{(machine, "bristles"): _named("hysteresis") for machine in STAYING},
-    **{(machine, family): _named("stribeck_friction") for machine in STAYING for family in ("friction", "stribeck")},
-    **{(machine, "under_load"): _named("load_friction") for machine in STAYING if machine not in HELD},
-    **{(machine, "gain"): _named("sensor_scale") for machine in ("servo", "servo_positions")},
-    **{(machine, "sensor_scale"): _named("sampling_interval") for machine in ("cart", "servo", "pendulum")},
-    **{(machine, family): _named("sensor_delay") for machine in ALL for family in ("delay", "dispersion")},
-    ("base", "leak"): _named("cross_axis_coupling"),
-}
-"""On a machine, further names for a family. A steady push on a servo is an offset of the position that it is held to. A
-spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command. A servo of
-one axis that goes too far is one whose sensors show too much. Where the only speed is shown too small, a row may be
-longer than is said, and parameters make up for the rest. Late commands are late readings of all sensors. A leak into
-another body has no name."""
-
-
-def names_of(family: str, machine: str) -> frozenset[str]:
-    """The effects that name a family rightly on a machine."""
-    return FAMILIES[family].names | EQUIVALENT.get((machine, family), frozenset())

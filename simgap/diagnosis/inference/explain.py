@@ -30,19 +30,8 @@ from simgap.engines import Engine, is_engine
 from simgap.types import Recording, Sessions, StepModel
 
 
-def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
-    """Sessions to fit, and held-out sessions: every fourth, or the last of fewer; of a single one its last quarter."""
-    if len(recordings) == 1:
-        (r,) = recordings
-        edge = 3 * len(r.time_s) // 4
-        part = lambda name, rows: Recording(name, r.time_s[rows], r.state[rows], r.command[rows])  # noqa: E731
-        return [part(r.name, slice(0, edge))], [part(f"{r.name} (last quarter)", slice(edge, None))]
-    held = set(range(3, len(recordings), 4)) or {len(recordings) - 1}
-    return [r for i, r in enumerate(recordings) if i not in held], [r for i, r in enumerate(recordings) if i in held]
-
-
 class _Asked(NamedTuple):
-    """The constant inputs of a search. baseline: number of baseline sessions, which come first."""
+    """The inputs of searches. baseline: number of baseline sessions, which come first. opening: see `select.Inputs`."""
 
     chunks: Chunks
     unseen: Chunks
@@ -52,6 +41,7 @@ class _Asked(NamedTuple):
     baseline: int
     rng: np.random.Generator
     report: Reporter
+    opening: str | None = None
 
 
 class _Found(NamedTuple):
@@ -87,7 +77,8 @@ def explain(
     problem, nominal, unseen = _posed(simulator, sessions, ranges_hold, before)
     augmented, scales, chunks, baseline = problem.augmented, problem.scales, problem.chunks, sessions.baseline
     throughout, events = hypotheses_of(augmented, scales), hypotheses_of(augmented, scales, events=True)
-    asked = _Asked(chunks, unseen, nominal, throughout, events, len(baseline), rng, report)
+    opening = before.rounds[0].accepted_id if before else None
+    asked = _Asked(chunks, unseen, nominal, throughout, events, len(baseline), rng, report, opening)
     if baseline:
         asked = asked._replace(nominal=_with_baseline(asked, problem, baseline))
     report(f"fitting the {len(simulator.parameters)} parameters to {len(sessions.fitted)} sessions")
@@ -168,10 +159,13 @@ def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording
 
 
 def _look(
-    asked: _Asked, problem: Problem, unseen: Chunks, hypotheses: Sequence[Hypothesis],
-    supports: tuple[Support, ...] = (), opening: str | None = None,
-) -> _Found:  # fmt: skip
-    """Search for effects, then compare each with its alternatives. opening: see `select.Inputs`."""
+    asked: _Asked,
+    problem: Problem,
+    unseen: Chunks,
+    hypotheses: Sequence[Hypothesis],
+    supports: tuple[Support, ...] = (),
+) -> _Found:
+    """Search for effects, then compare each with its alternatives."""
 
     def confirmed(problem: Problem, trial: Trial, required: float) -> bool:
         fits = trial.without, trial.fit
@@ -187,7 +181,7 @@ def _look(
 
     nominal = asked.nominal
     v = nominal.v._replace(delta=np.zeros((max(len(supports), 1), nominal.v.delta.shape[1]), np.float32))
-    inputs = Inputs(hypotheses, holds_out, asked.rng, asked.report, opening)
+    inputs = Inputs(hypotheses, holds_out, asked.rng, asked.report, asked.opening)
     searched = search(inputs, problem, evaluate(problem, v, nominal.groups))
     model, members, rounds = defend(searched, hypotheses, holds_out, asked.rng, asked.report)
     unseen = tabulated(model.problem, model.fit.v, unseen)
@@ -211,8 +205,8 @@ def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
         supports = (*best.supports, support)
         hypotheses = [*asked.throughout, *(h for i, s in enumerate(supports, 1) for h in _within(asked, s, i))]
         problem = best.problem._replace(chunks=opened(layout, best.problem.chunks, supports))
-        opening = next((h.effect.id for h in best.searched.chosen), None)
-        trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports, opening)
+        asked = asked._replace(opening=best.searched.rounds[0].accepted_id)
+        trial = _look(asked, problem, for_heldout(layout, asked.unseen, supports), hypotheses, supports)
         # The search may have taken a worse way than the one before.
         in_vain = best.supports and not any(m.hypothesis.support == support for m in trial.members)
         if not trial.members or in_vain or trial.model.density < best.model.density:

@@ -92,6 +92,11 @@ class Round(NamedTuple):
     accepted: str | None = None
 
     @property
+    def accepted_id(self) -> str | None:
+        """Id of the accepted effect, if one was accepted."""
+        return self.tried[0].hypothesis.effect.id if self.accepted else None
+
+    @property
     def rejected(self) -> float:
         """Gain [nats] of the best hypothesis if none was accepted, else 0."""
         return 0.0 if self.accepted else max((t.gain for t in self.tried), default=0.0)

@@ -35,8 +35,8 @@ from simgap.engines import is_engine
 class Inputs(NamedTuple):
     """The constant inputs of a search.
 
-    opening: id of the effect with which an earlier search of these recordings began. It comes first if it is nearly as
-    likely as the likeliest. Without it, both beginnings are tried.
+    opening: id of the effect with which an earlier search of these recordings began. If it is nearly as likely as the
+    likeliest, it comes first, and no other beginning is tried.
     """
 
     hypotheses: Sequence[Hypothesis]
@@ -90,7 +90,8 @@ def search(inputs: Inputs, problem: Problem, fit: Fit) -> Found:
     released, without = relinearised(model.problem, model.fit)
     begun = _Way(without, model, without, released, without.loglik - model.fit.loglik < SETTLED)
     end, opening = _to_the_end(inputs, begun)
-    other = _other_opening(opening, end) if opening and inputs.opening is None else None
+    as_before = opening is not None and end.chosen[0].effect.id == inputs.opening
+    other = _other_opening(opening, end) if opening and not as_before else None
     instead = _added(inputs, other) if other else None
     if instead is None:
         return end.found

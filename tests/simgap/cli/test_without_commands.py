@@ -12,9 +12,9 @@ import pytest
 
 import simgap
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.inference.explain import split
 from simgap.formats.documents import read_json
 from simgap.loading.load import find, make
+from simgap.recordings import split
 from simgap.types import Recording, Sessions
 from tasks.augmented_pyfunc import _load_pyfunc
 

@@ -8,7 +8,7 @@ from servos import JOINTS, Push, Servos, recorded
 
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.explain import explain, split
+from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, with_value
 from simgap.diagnosis.likelihood.scales import measure
@@ -16,6 +16,7 @@ from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.unmeasured import guessed
 from simgap.effects.augmented import Augmented
 from simgap.effects.stepping import Given, next_state
+from simgap.recordings import split
 from simgap.simulators.tables import Inputs, Points, shifted, tabulate
 from simgap.types import Sessions
 

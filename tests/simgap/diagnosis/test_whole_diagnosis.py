@@ -12,10 +12,10 @@ from planted import PHI
 from small import RICH, acting, sessions
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
-from simgap.diagnosis.inference.explain import split
 from simgap.diagnosis.validation.calibration import probability
 from simgap.diagnosis.validation.indicators import Indicators
 from simgap.effects.augmented import Augmented
+from simgap.recordings import split
 from simgap.types import Recording, Sessions
 
 
