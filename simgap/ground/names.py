@@ -14,8 +14,8 @@ EQUIVALENT = {
     ("base", "leak"): "cross_axis_coupling",
 }
 """On a machine, a further name for a family. A steady push on a servo is an offset of the position that it is held to.
-A spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command. A servo of
-one axis that goes too far is one whose sensors show too much. Where the only speed is shown too small, a row may be
+A spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command. A servo
+of one axis that goes too far is one whose sensors show too much. Where the only speed is shown too small, a row may be
 longer than is said, and parameters make up for the rest. Late commands are late readings of all sensors. A leak into
 another body has no name."""
 
