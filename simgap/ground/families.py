@@ -189,8 +189,8 @@ def _rectified(rng: np.random.Generator, size: float, row: float, rate: float) -
 
 
 def _lopsided(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
-    """Of speeds of one sign a sensor shows less, nothing, or the other sign."""
-    share, side = 4 * size, rng.choice([-1, 1])
+    """Of speeds of one sign a sensor shows less, or nothing."""
+    share, side = 2 * size, rng.choice([-1, 1])
     return Curve(lambda v: v - share * side * np.maximum(side * v, 0.0))
 
 
