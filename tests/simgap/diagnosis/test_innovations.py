@@ -80,9 +80,12 @@ def seen(constants: dict, recordings: list[Recording]) -> np.ndarray:
     return e[np.asarray(chunks.counts) & (successor > LET_IN)]
 
 
-# Here rows are evenly spaced, so that `stamped` does nothing: see below.
+# Here rows are evenly spaced, so that `stamped` does nothing: see below. Where a sensor folds, the signs at the starts
+# are found first: see test_rectified.
 OTHERS = [
-    e.key for e, sites in zip(CATALOGUE, SPOT.sites, strict=True) if sites and e.key != "sampling_interval.stamped"
+    e.key
+    for e, sites in zip(CATALOGUE, SPOT.sites, strict=True)
+    if sites and e.key != "sampling_interval.stamped" and not e.folds
 ]
 
 

@@ -18,8 +18,8 @@ def _found(monkeypatch: pytest.MonkeyPatch) -> list[Found]:
     """Results of searches in whose first round a wrong effect seems to gain a little more than the best."""
     found, one_more, search = [], select.one_more, select.search
 
-    def misled(model: Any, hypotheses: Any, rng: Any, report: Any, chosen: Any) -> Round:
-        current = one_more(model, hypotheses, rng, report, chosen)
+    def misled(*given: Any) -> Round:
+        current, chosen = one_more(*given), given[4]
         if chosen:
             return current
         wrong = next(t for t in current.tried if t.hypothesis.effect.id == WRONG)
