@@ -1,7 +1,7 @@
 """Laws of the command path that have a memory.
 
 `law(c[k, sites], u, z, fading, span) -> (z, u)`: the new memory, and the command that acts, for a share `span` of a
-row. For `fading` see `command_path`.
+row. For `fading` see `command_path`. The memory is a command, but for the resonance, which has two.
 """
 
 import jax
@@ -15,6 +15,8 @@ from simgap.types import StepModel
 _U = Float[Array, " u"]
 NEVER = 1e-6
 """Fading of a system that forgets nothing, or almost nothing."""
+UNDAMPED = 0.99
+"""Greatest damping ratio of a resonance."""
 AT_ONCE = 4.0
 """Greatest fading: even a joint that follows almost at once takes part of a row."""
 
@@ -61,3 +63,32 @@ def lag(c: Float[Array, "1 u"], u: _U, z: _U, fading: _U, span: float) -> tuple[
     rate = span / jnp.maximum(c[0], 1e-6)
     missed = jnp.where(c[0] > 0, (1 + _beyond_one(fading - rate)) / (1 + _beyond_one(fading)), 0.0)
     return u + jnp.where(c[0] > 0, jnp.exp(-rate), 0.0) * (z - u), u - missed * (u - z)
+
+
+def resonance(
+    c: Float[Array, "2 u"], u: _U, z: Float[Array, "2 u"], fading: _U, span: float
+) -> tuple[Float[Array, "2 u"], _U]:
+    """Second-order response x'' = w^2 (u - x) - 2 d w x', with 1/w = c_0 rows and damping d = c_1 below one.
+
+    With s = w (-d + i sqrt(1 - d^2)), x = u + Re[(1 - i d / sqrt(1 - d^2)) (z - u)], where z is a lag with the complex
+    rate s, z' = s (z - u). Its real and imaginary part are the memory.
+    """
+    acts, damping = c[0] > 0, jnp.clip(c[1], 0.0, UNDAMPED)
+    turns = jnp.sqrt(1 - damping**2)
+    rate = span / jnp.where(acts, c[0], 1.0) * jax.lax.complex(damping, -turns)
+    missed = _growth(fading - rate) / _growth(fading + 0j)
+    off = jax.lax.complex(z[0] - u, z[1])
+    ended, acting = jnp.exp(-rate) * off, jax.lax.complex(jnp.ones_like(turns), -damping / turns) * off * missed
+    return jnp.where(acts, jnp.stack([u + ended.real, ended.imag]), resting(u)), u + jnp.where(acts, acting.real, 0.0)
+
+
+def resting(u: _U) -> Float[Array, "2 u"]:
+    """The memory of a resonance once a command has lasted."""
+    return jnp.stack([u, jnp.zeros_like(u)])
+
+
+def _growth(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """(exp(x) - 1) / x of a complex number."""
+    small = x.real**2 + x.imag**2 < 0.01
+    away = jnp.where(small, 1.0, x)
+    return jnp.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, (jnp.exp(away) - 1) / away)

@@ -18,12 +18,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.effects.command_filters import backlash, lag, rate_limit
+from simgap.effects.command_filters import UNDAMPED, backlash, lag, rate_limit, resonance, resting
 from simgap.effects.effect import HISTORY_ROWS, Constant, Effect, Memory, Row, Scales, Site, reciprocal
 from simgap.effects.sites import channel_sites
 from simgap.layout import Layout, X, Y
 
 _U = Float[Array, " u"]
+OVERSHOOTS = 0.6
+"""Greatest damping ratio of a response that overshoots clearly, by a tenth; others are lags and delays."""
 
 
 def _delay(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
@@ -224,5 +226,13 @@ EFFECTS = (
         channel_sites, _fixed(0.6, 1.5, 4.5, 13.0), lag,
         "lag: a further first-order response with time constant {time constant} lies between command and motion",
         tie="any",
+    ),
+    Effect(
+        "resonance", "filter",
+        (Constant("period", "s", lambda c, site, scales: 2 * np.pi * c * scales.time_step, 0.0, 30.0),
+         Constant("damping", "-", low=0.0, high=UNDAMPED, shapes=True, credible=lambda site, scales: OVERSHOOTS)),
+        channel_sites, lambda scales, site: [[rows, 0.3] for rows in (0.6, 1.2, 2.5, 5.0, 10.0)], resonance,
+        "resonance: commands are followed with an overshoot, by a swing of {period} with a damping ratio of {damping}",
+        tie="any", basins=True, rest=resting,
     ),
 )  # fmt: skip

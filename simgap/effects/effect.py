@@ -42,7 +42,7 @@ class Memory(NamedTuple):
     """
 
     commands: Float[Array, "h u"]
-    filters: dict[str, Float[Array, " u"]]
+    filters: dict[str, Float[Array, "... u"]]
     bent: dict[str, Float[Array, "b 4"]]
     states: Float[Array, "r s"]
     fading: Float[Array, " u"]
@@ -146,15 +146,15 @@ class Effect:
     """A law of the catalogue.
 
     id: name of the effect. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
-    site): internal constants [k] to start a search from. law: see the module of its place. says: a sentence for
-    people, with the names of the constants in braces. tie: whether the sites of a family may share constants ("never";
-    "same_unit": sites of one unit; "any"). lasts: a filter's memory outlasts any rest; it depends on where commands
-    turned, not on how long ago. jagged: the likelihood has many local maxima along the constant. basins: it has a few;
-    the simulator's parameters lead to one with too small a constant, so fits start from all of `starts`. event: it
-    acts in a window of one session. folds: two states give one measurement, so that a start does not follow from what
-    is measured there. coarse: it concerns steps as long as a row, which an engine divides into many.
-    extends: id of a simpler law that it is as well, or nearly, with some of its constants. bends: see `Bend`; by
-    default those of its place.
+    site): internal constants [k] to start a search from. law: see the module of its place. says: a sentence for people,
+    with the names of the constants in braces. tie: whether the sites of a family may share constants ("never";
+    "same_unit": sites of one unit; "any"). rest(u): a filter's memory once the command u has lasted. lasts: a filter's
+    memory outlasts any rest; it depends on where commands turned, not on how long ago. jagged: the likelihood has many
+    local maxima along the constant. basins: it has a few; the simulator's parameters lead to one with too small a
+    constant, so fits start from all of `starts`. event: it acts in a window of one session. folds: two states give one
+    measurement, so that a start does not follow from what is measured there. coarse: it concerns steps as long as a
+    row, which an engine divides into many. extends: id of a simpler law that it is as well, or nearly, with some of its
+    constants. bends: see `Bend`; by default those of its place.
     """
 
     id: str
@@ -165,6 +165,7 @@ class Effect:
     law: Callable[..., Any]
     says: str
     form: str = ""
+    rest: Callable[[Array], Array] = lambda u: u
     lasts: bool = False
     jagged: bool = False
     basins: bool = False

@@ -52,17 +52,19 @@ def remember(
         step = lambda m, u: (follow(augmented, theta, still(m, u), u, row, active)[0], None)  # noqa: E731
         return jax.lax.scan(step, memory, turned)[0]
 
-    def settled() -> dict[str, Float[Array, " u"]]:
-        memory = Memory(first, {law.effect.key: first[0] for law in filters}, bent, states, forgets)
+    def rested(u: Float[Array, " u"]) -> dict[str, Float[Array, "... u"]]:
+        return {law.effect.key: law.effect.rest(u) for law in filters}
+
+    def settled() -> dict[str, Float[Array, "... u"]]:
+        memory = Memory(first, rested(first[0]), bent, states, forgets)
         if turns is not None:
-            began = memory._replace(filters=dict.fromkeys(memory.filters, turns[-1]))
+            began = memory._replace(filters=rested(turns[-1]))
             outlasted = held(began, turns[::-1]).filters
             lasting = {law.effect.key: outlasted[law.effect.key] for law in filters if law.effect.lasts}
             memory = memory._replace(filters={**memory.filters, **lasting})
         return run(memory, sent[HISTORY_ROWS:]).filters
 
-    nil = {law.effect.key: past[0] for law in filters}
-    filter_states = where(_any(filters), settled, nil) if filters else {}
+    filter_states = where(_any(filters), settled, rested(past[0])) if filters else {}
     return Memory(past[:HISTORY_ROWS], filter_states, bent, states, forgets)
 
 
@@ -112,11 +114,11 @@ def follow(
 
 
 def _filtered(
-    law: Law, u: Float[Array, "... u"], z: Float[Array, " u"], fading: Float[Array, " u"]
-) -> tuple[Float[Array, " u"], Float[Array, "... u"]]:
+    law: Law, u: Float[Array, "... u"], z: Float[Array, "... u"], fading: Float[Array, " u"]
+) -> tuple[Float[Array, "... u"], Float[Array, "... u"]]:
     """A filter's new memory and the command that acts; part by part where a row has several."""
     if u.ndim == 1:
-        return law((u, u), u, z, fading, 1.0)
+        return law((law.effect.rest(u), u), u, z, fading, 1.0)
     acting = []
     for part in u:
         z, there = law((z, part), part, z, fading, 1 / len(u))

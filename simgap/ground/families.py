@@ -217,7 +217,7 @@ FAMILIES: dict[str, Family] = {
     "hardening": Family(_named(), _hardening),
     "product": Family(_named(), _product),
     "place_gain": Family(_named(), _place_gain),
-    "ringing": Family(_named(), _ringing),
+    "ringing": Family(_named("resonance"), _ringing),
     "tired": Family(_named(), _tired),
     "gusts": Family(_named(), _gusts),
     "bristles": Family(_named(), _bristles),

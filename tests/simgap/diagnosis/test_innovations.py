@@ -63,7 +63,7 @@ def everywhere(key: str) -> dict:
     return constants
 
 
-REMEMBERED = ("lag", "sensor_delay")
+REMEMBERED = ("lag", "resonance", "sensor_delay")
 """What comes before a session is not recorded: of much of it even true constants leave something."""
 
 

@@ -30,6 +30,7 @@ BASE, ARM = (0, 1, 2), (3, 4, 5)
 CASES = [
     case("delay", (1.4,), BASE),
     case("lag", (1.4,), ARM),
+    case("resonance", (1.2, 0.2), BASE),
     case("rate_limit", (1 / 0.06,)),
     case("saturation", (1 / 0.6,)),
     case("deadband", (0.12,), (1,)),

@@ -33,7 +33,7 @@ VOCABULARY = {
     "sensor_delay", "sensor_bias", "sensor_scale", "nonlinear_spring", "joint_gravity", "output_limit",
     "tyre_slip", "stribeck_friction", "load_friction", "hysteresis", "rectified_sensor",
 }  # fmt: skip
-ADDITIONS = {"induced_velocity", "constant_load"}
+ADDITIONS = {"induced_velocity", "constant_load", "resonance"}
 ABOUT_A_WORLD_DIRECTION = {"slope", "external_push"}
 ABOUT_A_PLACE = {"sensor_scale", "nonlinear_spring", "output_limit", "rectified_sensor"}
 ABOUT_A_WORLD_COORDINATE = {*ABOUT_A_PLACE, "sensor_bias"}
@@ -74,7 +74,7 @@ def scene(robot: str, seed: int) -> tuple[Memory, jnp.ndarray, jnp.ndarray]:
     rng = np.random.default_rng(seed)
     draw = lambda *shape: jnp.asarray(rng.normal(size=shape), jnp.float32)  # noqa: E731
     bent = {k: jnp.clip(draw(len(ROBOTS[robot].layout.bodies), 4), -1, 1) for k in memories(robot, "hysteresis")}
-    filters = {k: draw(u) for k in memories(robot, "filter")}
+    filters = {k: draw(*z.shape) for k, z in rested(robot, jnp.zeros(u)).items()}
     memory = Memory(draw(HISTORY_ROWS, u), filters, bent, draw(SENSED_ROWS, s), forgets(robot))
     return memory, draw(s), draw(u)
 
@@ -87,6 +87,11 @@ def forgets(robot: str) -> jnp.ndarray:
 def at_rest(robot: str) -> tuple[Memory, jnp.ndarray, jnp.ndarray]:
     memory, state, command = jax.tree.map(jnp.zeros_like, scene(robot, 0))
     return memory._replace(fading=forgets(robot)), state, command
+
+
+def rested(robot: str, command: jnp.ndarray) -> dict[str, jnp.ndarray]:
+    """Memories of filters that have settled on a command."""
+    return {e.key: e.rest(command) for e in CATALOGUE if e.key in memories(robot, "filter")}
 
 
 def memories(robot: str, place: str) -> list[str]:
@@ -138,7 +143,7 @@ def test_with_all_constants_zero_it_is_the_simulator(robot: str, seed: int) -> N
 def test_with_all_constants_zero_it_is_the_simulator_to_the_last_bit(robot: str) -> None:
     zero = jnp.zeros(len(ROBOTS[robot].slots))
     memory, state, command = scene(robot, 5)
-    memory = memory._replace(filters=dict.fromkeys(memory.filters, command))
+    memory = memory._replace(filters=rested(robot, command))
     with jax.disable_jit():
         after, then = advance(ROBOTS[robot], PHI[robot], zero, scales(robot), memory, state, command, ROW)
         np.testing.assert_array_equal(then, ROBOTS[robot].simulator.step(PHI[robot], state, command))
