@@ -76,7 +76,7 @@ def resonance(
     acts, damping = c[0] > 0, jnp.clip(c[1], 0.0, UNDAMPED)
     turns = jnp.sqrt(1 - damping**2)
     rate = span / jnp.where(acts, c[0], 1.0) * jax.lax.complex(damping, -turns)
-    missed = _growth(fading - rate) / _growth(fading + 0j)
+    missed = _growth(fading - rate) / (1 + _beyond_one(fading))
     off = jax.lax.complex(z[0] - u, z[1])
     ended, acting = jnp.exp(-rate) * off, jax.lax.complex(jnp.ones_like(turns), -damping / turns) * off * missed
     return jnp.where(acts, jnp.stack([u + ended.real, ended.imag]), resting(u)), u + jnp.where(acts, acting.real, 0.0)
@@ -89,6 +89,6 @@ def resting(u: _U) -> Float[Array, "2 u"]:
 
 def _growth(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """(exp(x) - 1) / x of a complex number."""
-    small = x.real**2 + x.imag**2 < 0.01
+    small = x.real**2 + x.imag**2 < 0.03**2
     away = jnp.where(small, 1.0, x)
-    return jnp.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, (jnp.exp(away) - 1) / away)
+    return jnp.where(small, 1 + x * (1 / 2 + x / 6), (jnp.exp(away) - 1) / away)

@@ -151,10 +151,11 @@ class Effect:
     "same_unit": sites of one unit; "any"). rest(u): a filter's memory once the command u has lasted. lasts: a filter's
     memory outlasts any rest; it depends on where commands turned, not on how long ago. jagged: the likelihood has many
     local maxima along the constant. basins: it has a few; the simulator's parameters lead to one with too small a
-    constant, so fits start from all of `starts`. event: it acts in a window of one session. folds: two states give one
-    measurement, so that a start does not follow from what is measured there. coarse: it concerns steps as long as a
-    row, which an engine divides into many. extends: id of a simpler law that it is as well, or nearly, with some of its
-    constants. bends: see `Bend`; by default those of its place.
+    constant, so fits start from all of `starts`. event: it acts in a window of one session. slope(c, state): of what a
+    sensor shows, by the state, where it is not one. folds: two states give one measurement, so that a start does not
+    follow from what is measured there. coarse: it concerns steps as long as a row, which an engine divides into many.
+    extends: id of a simpler law that it is as well, or nearly, with some of its constants. bends: see `Bend`; by
+    default those of its place.
     """
 
     id: str
@@ -170,6 +171,7 @@ class Effect:
     jagged: bool = False
     basins: bool = False
     event: bool = False
+    slope: Callable[[Any, Array], Array] | None = None
     folds: bool = False
     coarse: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"

@@ -41,7 +41,11 @@ def _delay(c: Float[Array, "1 n"], state: Array, past: Float[Array, "r s"], row:
 
 def _scale(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """(1 + c) y."""
-    return state * (1 + padded(c[0], state))
+    return state * _slope_of_scale(c, state)
+
+
+def _slope_of_scale(c: Float[Array, "1 s"], state: Array) -> Array:
+    return 1 + padded(c[0], state)
 
 
 def _bias(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
@@ -56,7 +60,11 @@ def _drift(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: 
 
 def _rectified(c: Float[Array, "1 s"], state: Array, past: Array, row: Row, layout: Layout) -> Array:
     """y where it is positive, (1 - 2 c) y where it is negative: the size alone where c is one."""
-    return jnp.where(state < 0, (1 - 2 * padded(c[0], state)) * state, state)
+    return state * _slope_of_rectifier(c, state)
+
+
+def _slope_of_rectifier(c: Float[Array, "1 s"], state: Array) -> Array:
+    return jnp.where(state < 0, 1 - 2 * padded(c[0], state), 1.0)
 
 
 def padded(c: Float[Array, " o"], state: Float[Array, " s"]) -> Float[Array, " s"]:
@@ -79,6 +87,7 @@ EFFECTS = (
     Effect(
         "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), output_sites,
         lambda scales, site: [[0.05]], _scale, "a measured output is scaled by {scale}", tie="any",
+        slope=_slope_of_scale,
     ),
     Effect(
         "sensor_bias", "sensing", (Constant("bias", "{u}"),), output_sites,
@@ -92,6 +101,6 @@ EFFECTS = (
         "rectified_sensor", "sensing", (Constant("ratio", "-", lambda c, site, scales: 2 * c - 1, 0.5, 2.0),),
         output_sites, lambda scales, site: [[1.0]], _rectified,
         "a sensor loses the sign: it shows negative values as positive ones, {ratio} times as large", tie="same_unit",
-        folds=True,
+        slope=_slope_of_rectifier, folds=True,
     ),
 )  # fmt: skip

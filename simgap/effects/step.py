@@ -201,21 +201,19 @@ def sense(
     augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], row: Row, active: Active = None
 ) -> Float[Array, " s"]:
     """What is measured of a state, given the states before it; `row` is that of the state."""
-    for law in augmented.laws(theta, active, "sensing"):
-        state = law(state, state, memory.states, row, augmented.layout)
-    return state
+    return sensed(augmented, theta, memory, state, row, active)[0]
 
 
 def sensed(
     augmented: Augmented, theta: Theta, memory: Memory, state: Float[Array, " s"], row: Row, active: Active = None
 ) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
-    """What is measured of a state (`sense`), and how much more that would be, per unit, if the state always exceeded
-    itself: minus one where a sensor shows the size alone of a negative value."""
-
-    def of(more: Float[Array, " s"]) -> Float[Array, " s"]:
-        return sense(augmented, theta, memory._replace(states=memory.states + more), state + more, row, active)
-
-    return jax.jvp(of, (jnp.zeros_like(state),), (jnp.ones_like(state),))
+    """The same, and its slope by the state: minus one where a sensor shows a negative value as a positive one."""
+    slope = jnp.ones_like(state)
+    for law in augmented.laws(theta, active, "sensing"):
+        if (of := law.effect.slope) is not None:
+            slope = slope * where(law.on, lambda of=of, c=law.c, at=state: of(c, at), jnp.ones_like(state))
+        state = law(state, state, memory.states, row, augmented.layout)
+    return state, slope
 
 
 def unsense(
