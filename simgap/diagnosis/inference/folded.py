@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
+from simgap.diagnosis.hypotheses.support import ALWAYS
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import Model, Trial
 from simgap.diagnosis.inference.score_test import vary
@@ -17,23 +18,22 @@ BELOW_ZERO = 0.1
 
 
 def without_sign(model: Model, hypotheses: Sequence[Hypothesis]) -> Trial | None:
-    """The best hypothesis that a sensor loses the sign, fitted; None if none gains.
+    """The best hypothesis that a sensor loses the sign, throughout, fitted. None if none gains, or next to effects.
 
     Only sensors that show hardly any negative value may have lost the sign.
     """
     problem, fit, _ = model
-    if fit.groups:
+    throughout = [h for h in hypotheses if h.effect.folds and h.support == ALWAYS]
+    possible = [h for h in throughout if _never_negative(problem, h)]
+    if fit.groups or not possible:
         return None
-    nominal = evaluate(problem, start(problem), ())
-    tried = []
-    for hypothesis in hypotheses:
-        if hypothesis.effect.folds and not hypothesis.twin and _never_negative(problem, hypothesis):
-            v = vary(nominal.v, hypothesis, hypothesis.starts[0])
-            begun = _begun(problem, Fit(v, hypothesis.groups, nominal.e, nominal.noise, nominal.loglik))
-            if begun[1].loglik > nominal.loglik:
-                fitted = optimise(*begun)[0]
-                begun = _begun(begun[0], fitted)
-                tried.append(Trial.of(hypothesis, optimise(*begun)[0], fit))
+    nominal, tried = evaluate(problem, start(problem), ()), []
+    for hypothesis in possible:
+        v = vary(nominal.v, hypothesis, hypothesis.starts[0])
+        begun = _begun(problem, nominal._replace(v=v, groups=hypothesis.groups))
+        if begun[1].loglik > nominal.loglik:
+            begun = _begun(begun[0], optimise(*begun)[0])
+            tried.append(Trial.of(hypothesis, optimise(*begun)[0], fit))
     return max(tried, key=lambda t: t.evidence, default=None)
 
 
