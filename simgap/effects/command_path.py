@@ -233,6 +233,6 @@ EFFECTS = (
          Constant("damping", "-", low=0.0, high=UNDAMPED, shapes=True, credible=lambda site, scales: OVERSHOOTS)),
         channel_sites, lambda scales, site: [[rows, 0.3] for rows in (0.6, 1.2, 2.5, 5.0, 10.0)], resonance,
         "resonance: commands are followed with an overshoot, by a swing of {period} with a damping ratio of {damping}",
-        tie="any", basins=True, rest=resting,
+        tie="any", basins=True, rest=resting, extends="delay",
     ),
 )  # fmt: skip

@@ -98,7 +98,8 @@ EFFECTS = (
         "a measured output drifts off by {drift}", form="drift",
     ),
     Effect(
-        "rectified_sensor", "sensing", (Constant("ratio", "-", lambda c, site, scales: 2 * c - 1, 0.5, 2.0),),
+        "rectified_sensor", "sensing",
+        (Constant("ratio", "-", lambda c, site, scales: 2 * c - 1, 0.0, 2.0, least=lambda site, scales: 0.5),),
         output_sites, lambda scales, site: [[1.0]], _rectified,
         "a sensor loses the sign: it shows negative values as positive ones, {ratio} times as large", tie="same_unit",
         slope=_slope_of_rectifier, folds=True,
