@@ -27,7 +27,7 @@ def read(folders: Folders, simulator: StepModel | Engine) -> tuple[Sessions, lis
     Raises RecordingError as `purposes.read` and `purposes.arranged` do.
     """
     given, errors = purposes.read(folders, simulator)
-    return purposes.arranged(simulator.schema, given), errors
+    return purposes.arranged(simulator, given), errors
 
 
 @task(task_run_name="diagnose-{name}")

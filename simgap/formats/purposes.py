@@ -7,6 +7,7 @@ from typing import NamedTuple
 from simgap import survey
 from simgap.derived import derived, sentence
 from simgap.engines import Engine
+from simgap.formats.rates import in_other_units
 from simgap.formats.recordings import digest, read_recordings
 from simgap.recordings import split
 from simgap.types import Recording, RecordingError, Schema, Sessions, StepModel
@@ -84,7 +85,7 @@ def together(several: Sequence[Given]) -> Given:
     return Given(sessions, ", ".join(given.place for given in several), first.label)
 
 
-def arranged(schema: Schema, given: Purposes) -> Sessions:
+def arranged(simulator: StepModel | Engine, given: Purposes) -> Sessions:
     """Sessions that serve one purpose each. Without `heldout`, some of `recordings` are held out.
 
     Raises RecordingError where a velocity is a difference of its position or has other units, or a session serves two
@@ -92,8 +93,8 @@ def arranged(schema: Schema, given: Purposes) -> Sessions:
     """
     for part in given.every:
         if wrong := [
-            *map(sentence, derived(schema.measured, part.sessions)),
-            *(survey.sentence(*found) for found in in_other_units(schema, part).items()),
+            *map(sentence, derived(simulator.schema.measured, part.sessions)),
+            *(survey.sentence(*found) for found in in_other_units(simulator, part.sessions).items()),
         ]:
             raise RecordingError("\n".join(f"{part.place}: column {why}" for why in wrong))
     recordings, heldout, baseline = given
@@ -102,12 +103,6 @@ def arranged(schema: Schema, given: Purposes) -> Sessions:
     else:
         training, held_out = split(recordings.sessions)
     return Sessions(training, held_out, _apart(baseline, [*training, *held_out]) if baseline else [])
-
-
-def in_other_units(schema: Schema, given: Given) -> dict[str, survey.Kinematics]:
-    """The velocities that cannot be the rates of their positions, by name."""
-    found = survey.kinematics(schema.measured, given.sessions)
-    return {velocity: kinematics for velocity, kinematics in found.items() if kinematics.in_other_units}
 
 
 def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 
 from simgap.formats import purposes
-from simgap.formats.purposes import Purposes, in_other_units
+from simgap.formats.purposes import Purposes
+from simgap.formats.rates import in_other_units
 from simgap.loading.load import Used
 from simgap.loading.model_files import recalled
 from simgap.survey import sentence
@@ -20,7 +21,7 @@ def arranged(used: Used, given: Purposes, say: Callable[[str], None]) -> tuple[U
     used, given = _without_other_units(used, given)
     for note in used.notes:
         say(note)
-    return used, purposes.arranged(used.simulator.schema, given)
+    return used, purposes.arranged(used.simulator, given)
 
 
 def _without_other_units(used: Used, given: Purposes) -> tuple[Used, Purposes]:
@@ -28,7 +29,7 @@ def _without_other_units(used: Used, given: Purposes) -> tuple[Used, Purposes]:
     if used.model_file is None:
         return used, given
     schema = used.simulator.schema
-    wrong = [(part, *found) for part in given.every for found in in_other_units(schema, part).items()]
+    wrong = [(part, *found) for part in given.every for found in in_other_units(used.simulator, part.sessions).items()]
     columns = {name for _, velocity, k in wrong for name in (velocity, k.position)}
     if not wrong or columns == {f.name for f in schema.outputs}:
         return used, given
