@@ -59,12 +59,12 @@ def everywhere(key: str) -> dict:
     constants: dict = {}
     for s in range(len(sites)):
         starts = KEYS[key].starts(SCALES, s)
-        constants |= acting(key, tuple(starts[1 if key in REMEMBERED else len(starts) // 2]), (s,))
+        constants |= acting(key, tuple(starts[REMEMBERED.get(key, len(starts) // 2)]), (s,))
     return constants
 
 
-REMEMBERED = ("lag", "resonance", "sensor_delay")
-"""What comes before a session is not recorded: of much of it even true constants leave something."""
+REMEMBERED = {"resonance": 0, "lag": 1, "sensor_delay": 1}
+"""Starts with a short memory: what comes before a session is not recorded, so even true constants leave something."""
 
 
 @cache
