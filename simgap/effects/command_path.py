@@ -24,8 +24,8 @@ from simgap.effects.sites import channel_sites
 from simgap.layout import Layout, X, Y
 
 _U = Float[Array, " u"]
-OVERSHOOTS = 0.6
-"""Greatest damping ratio of a response that overshoots clearly, by a tenth; others are lags and delays."""
+OVERSHOOTS = 0.4
+"""Greatest damping ratio of a response that overshoots clearly, by a quarter; others may be delays that vary."""
 
 
 def _delay(c: Float[Array, "1 u"], u: _U, memory: Memory, row: Row, layout: Layout) -> _U:
