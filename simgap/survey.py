@@ -99,7 +99,7 @@ def leading(recordings: Sequence[Recording], rows: int) -> list[Recording]:
 def column(recordings: Sequence[Recording], values: Sequence[Float[np.ndarray, " T"]], angle: bool) -> Column:
     """`values`: the column, session by session."""
     whole = np.concatenate(values)
-    steps = [wrapped(np.diff(v)) if angle else np.diff(v) for v in values]
+    steps = [_wrapped(np.diff(v)) if angle else np.diff(v) for v in values]
     size = np.abs(np.concatenate(steps))
     usual = np.quantile(size[size > 0], 0.99) if (size > 0).any() else np.inf
     jumps = tuple((r.name, int(i) + 2) for r, s in zip(recordings, steps, strict=True)
@@ -121,7 +121,7 @@ def kinematics(schema: Schema, recordings: Sequence[Recording]) -> dict[str, Kin
         moved, reported = [], []
         for r in recordings:
             step = np.diff(r.state[:, j])
-            moved.append((wrapped(step) if schema.state[j].kind == "angle" else step) / np.diff(r.time_s))
+            moved.append((_wrapped(step) if schema.state[j].kind == "angle" else step) / np.diff(r.time_s))
             reported.append((r.state[1:, i] + r.state[:-1, i]) / 2)
         x, y = np.concatenate(reported), np.concatenate(moved)
         if np.ptp(x) and np.ptp(y):
@@ -183,6 +183,5 @@ def _position_of(schema: Schema, velocity: Field) -> int | None:
     return same[0] if same else None
 
 
-def wrapped(angle: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Angles within -pi and pi [rad]."""
+def _wrapped(angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     return (angle + np.pi) % (2 * np.pi) - np.pi

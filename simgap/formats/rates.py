@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from simgap.effects.augmented import Augmented
 from simgap.engines import Engine, is_engine
-from simgap.survey import OFF, Kinematics, kinematics, wrapped
+from simgap.kinematics import wrapped
+from simgap.survey import OFF, Kinematics, kinematics
 from simgap.types import Recording, StepModel
 
 ROWS = 200
@@ -42,15 +43,13 @@ def _slopes(
     state, command = (
         np.concatenate(columns)[rows] for columns in zip(*((r.state, r.command) for r in recordings), strict=True)
     )
-    state = np.pad(state, ((0, 0), (0, len(schema.state) - state.shape[1])))  # states that are not measured
+    state = jnp.pad(state, ((0, 0), (0, len(schema.state) - state.shape[1])))  # states that are not measured
     step = jax.vmap(jax.vmap(simulator.step, (None, 0, 0)), (0, None, None))
-    then = np.asarray(step(jnp.asarray(params), jnp.asarray(state), jnp.asarray(command)))
+    then = step(jnp.asarray(params), state, jnp.asarray(command))
+    moved, said = wrapped(augmented.layout, then - state) / simulator.time_step, (then + state) / 2
     names, slopes = [f.name for f in schema.state], {}
     for velocity, k in found.items():
         i, j = names.index(velocity), names.index(k.position)
-        changed = then[..., j] - state[:, j]
-        rate = (wrapped(changed) if schema.state[j].kind == "angle" else changed) / simulator.time_step
-        said = (then[..., i] + state[:, i]) / 2
-        slope = (said * rate).sum(1) / (said**2).sum(1)
+        slope = np.asarray((said[..., i] * moved[..., j]).sum(1) / (said[..., i] ** 2).sum(1))
         slopes[velocity] = np.append(slope[np.isfinite(slope)], 1.0)
     return slopes

@@ -123,7 +123,8 @@ def _filter_segment(
             # Map over both sets of constants, so that the step is compiled once.
             both = jax.lax.map(step, jnp.stack([v.theta, other]))
             after, predicted, e, slope = jax.tree.map(lambda a: a[0], both)
-            reported = both[2][1]
+            _, _, innovations, _ = both
+            reported = innovations[1]
         outputs = len(augmented.layout.schema.outputs)
         return (after, corrected(augmented.layout, K, predicted, in_state(e, slope))), (x, reported[:outputs])
 

@@ -20,13 +20,13 @@ def signed(problem: Problem, v: Variables, rows: Bool[np.ndarray, "C t"] | None 
     decide = until_last(np.asarray(scored)) if rows is None else rows
     for output in _folded(problem.augmented, v):
         state = np.array(problem.chunks.state)
-        ends = []
+        e = []
         for sign in (1, -1):
             state[:, 0, output] = sign * np.abs(state[:, 0, output])
-            ends.append(problem._replace(chunks=problem.chunks._replace(state=jnp.array(state), counts=decide)))
-        e = [trials(end, [v])[0] for end in ends]
+            begun = problem._replace(chunks=problem.chunks._replace(state=jnp.array(state), counts=decide))
+            e.append(trials(begun, [v])[0])
         noise, segment = fit_noise(e[0]), np.nonzero(decide)[0]
-        likely = [np.bincount(segment, log_density(rows, noise).sum(1), len(decide)) for rows in e]
+        likely = [np.bincount(segment, log_density(one, noise).sum(1), len(decide)) for one in e]
         state[:, 0, output] *= np.where(likely[1] > likely[0], 1, -1)
         problem = problem._replace(chunks=problem.chunks._replace(state=jnp.asarray(state), counts=scored))
     return problem
