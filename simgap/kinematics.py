@@ -128,16 +128,20 @@ def to_world(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s
 
 
 def _rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s"], sign: float) -> Float[Array, " s"]:
-    """A vector with its world-frame horizontal pairs (velocities, positions) turned by sign times their heading."""
-    numbers = list(vector)
+    """A vector with its world-frame horizontal pairs (velocities, positions) turned by sign times their heading.
+
+    Entries that are not turned are left in place: XLA would compile a list of all entries to three loops for each.
+    """
+    out = vector
     for b, heading in enumerate(layout.heading):
         if heading is None:
             continue
         for table in (layout.velocity, layout.position):
             ix, iy = (int(i) for i in table[b, [X, Y]])
             if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
-                numbers[ix], numbers[iy] = turn(vector[ix], vector[iy], sign * state[heading])
-    return jnp.stack(numbers)
+                x, y = turn(vector[ix], vector[iy], sign * state[heading])
+                out = substituted(substituted(out, ix, x), iy, y)
+    return out
 
 
 def _enter(

@@ -25,8 +25,8 @@ from simgap.types import StepModel
 Theta = Float[Array | np.ndarray, " P"]
 """Internal constants of all effects at all sites. A numpy array where they are known before tracing."""
 
-Active = Bool[Array, " effects"] | None
-"""Which effects of the catalogue act; None: all."""
+Active = tuple[Bool[Array, ""], ...] | None
+"""Which effects of the catalogue act; None: all. Numbers, not an array, which XLA would take apart in every row."""
 
 
 class Slot(NamedTuple):
@@ -129,7 +129,7 @@ class Augmented:
         if self.only is not None:
             return None
         on = jnp.any(jnp.stack([jnp.asarray(theta) for theta in thetas]) != 0, axis=0)
-        return jnp.zeros(len(self.catalogue), bool).at[self.effect_of].max(on)
+        return tuple(jnp.zeros(len(self.catalogue), bool).at[self.effect_of].max(on))
 
     def laws(self, theta: Theta, active: Active, *places: str) -> list["Law"]:
         """The laws of these places that have sites, each with its constants.
@@ -138,12 +138,12 @@ class Augmented:
         """
         found, start, known = [], 0, isinstance(theta, np.ndarray)
         for i, (effect, sites) in enumerate(zip(self.catalogue, self.sites, strict=True)):
-            size = len(effect.constants) * len(sites)
-            c = theta[start : start + size].reshape(len(effect.constants), len(sites))
+            own = slice(start, start + len(effect.constants) * len(sites))
             left_out = self.only is not None and i not in self.only
-            if sites and effect.place in places and not left_out and not (known and not c.any()):
-                found.append(Law(effect, jnp.asarray(c), None if active is None else active[i]))
-            start += size
+            if sites and effect.place in places and not left_out and not (known and not theta[own].any()):
+                on = None if active is None or effect.slight else active[i]
+                found.append(Law(effect, theta, own, on))
+            start = own.stop
         return found
 
 
@@ -153,11 +153,18 @@ def _with_laws(simulator: StepModel | Engine, only: tuple[int, ...]) -> Augmente
 
 
 class Law(NamedTuple):
-    """An effect with its constants. `on`: whether it acts; None: it does."""
+    """An effect with its constants, which are a slice of theta. `on`: whether it acts; None: it is computed, whether or
+    not it does."""
 
     effect: Effect
-    c: Float[Array, "k sites"]
+    theta: Theta
+    own: slice
     on: Bool[Array, ""] | None
+
+    @property
+    def c(self) -> Float[Array, "k sites"]:
+        """Cut out only where the law is computed: XLA would otherwise do so in every row for all laws."""
+        return jnp.asarray(self.theta[self.own]).reshape(len(self.effect.constants), -1)
 
     def __call__(self, nil: Any, *args: Any) -> Any:
         """Apply the law to its arguments; returns `nil` if it is off."""

@@ -173,11 +173,11 @@ EFFECTS = (
     Effect(
         "quantization", "command", (Constant("step", "{u}", low=0.0),), channel_sites,
         _fractions(*np.geomspace(0.06, 0.9, 24)), _quantization,
-        "commands are followed in steps of {step}", tie="same_unit", jagged=True,
+        "commands are followed in steps of {step}", tie="same_unit", jagged=True, slight=True,
     ),
     Effect(
         "deadband", "command", (Constant("width", "{u}", low=0.0),), channel_sites, _fractions(0.05, 0.15, 0.35),
-        _deadband, "dead band: commands below {width} do nothing", tie="same_unit",
+        _deadband, "dead band: commands below {width} do nothing", tie="same_unit", slight=True,
     ),
     Effect(
         "backlash", "filter", (Constant("gap", "{u}", low=0.0),), channel_sites, _fractions(0.1, 0.3, 0.7),
@@ -186,23 +186,25 @@ EFFECTS = (
     ),
     Effect(
         "gain", "command", (Constant("gain", "-", lambda c, site, scales: 1 + c, -0.95, 2.0),), channel_sites,
-        _fixed(-0.15), _gain, "commands are followed by a factor of {gain}", tie="any",
+        _fixed(-0.15), _gain, "commands are followed by a factor of {gain}", tie="any", slight=True,
     ),
     Effect(
         "asymmetric_gain", "command", _RATIO, channel_sites, _fixed(0.15), _asymmetric_gain(-1),
         "negative commands are followed by only {ratio} of what positive ones are", tie="any", form="negative",
+        slight=True,
     ),
     Effect(
         "asymmetric_gain", "command", _RATIO, channel_sites, _fixed(0.15), _asymmetric_gain(1),
         "positive commands are followed by only {ratio} of what negative ones are", tie="any", form="positive",
+        slight=True,
     ),
     Effect(
         "gain_drift", "command", (Constant("change", "1/min", low=-1.0, high=1.0),), channel_sites, _fixed(-0.1),
-        _gain_drift, "the response to commands drifts by {change} of itself over a session", tie="any",
+        _gain_drift, "the response to commands drifts by {change} of itself over a session", tie="any", slight=True,
     ),
     Effect(
         "cross_axis_coupling", "command", (Constant("ratio", "-", low=-1.5, high=1.5),), _pair_sites, _fixed(0.1),
-        _cross_axis, "one axis leaks into another by a ratio of {ratio}",
+        _cross_axis, "one axis leaks into another by a ratio of {ratio}", slight=True,
     ),
     Effect(
         "frame_misalignment", "command", (Constant("angle", "rad", low=-1.6, high=1.6),), _planar_sites, _fixed(0.1),
@@ -211,7 +213,7 @@ EFFECTS = (
     Effect(
         "saturation", "command", (Constant("limit", "{u}", reciprocal, 0.0, reciprocal=True),), channel_sites,
         _reciprocals(lambda scales: scales.command, 2.2, 1.7, 1.3, 0.95, 0.8, 0.6, 0.35), _saturation,
-        "saturation: commands beyond {limit} have no further effect", tie="same_unit",
+        "saturation: commands beyond {limit} have no further effect", tie="same_unit", slight=True,
     ),
     Effect(
         "rate_limit", "filter",

@@ -1,6 +1,7 @@
-"""Dry friction: pushes against the motion that hold a body at rest. `law(c[k, sites], step) -> push[b, 4]`.
+"""Dry friction: a push against the motion that holds a body at rest. `law(c[k, sites], step) -> most[b, 4]`.
 
-All but Coulomb's are of bodies that keep their place (`restoring.staying`).
+A law says how large the friction is at most; what several allow adds up to one friction. All but Coulomb's are of
+bodies that keep their place (`restoring.staying`).
 """
 
 import jax.numpy as jnp
@@ -15,38 +16,27 @@ SLOW = (0.03, 0.1, 0.3)
 """Starting values of a speed below which friction rises, as shares of the usual speed."""
 
 
-def _opposed(step: Step, most: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
-    """A push of size `most` against the motion, or the smaller one that ends it within the step: the body sticks.
-
-    The motion is that which the body's own drive causes. Otherwise, where a simulator's velocity memory includes the
-    carrier's motion, an arm at rest on a walking base would slide in its joints.
-    """
-    response = step.response()
-    stops = step.own().velocity / jnp.where(response != 0, response, jnp.inf)
-    return -jnp.clip(stops, -most, most)
-
-
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """At most c."""
-    return _opposed(step, on_axes(step.layout, c[0]))
+    """c."""
+    return on_axes(step.layout, c[0])
 
 
 def _stribeck(c: Float[Array, "3 n"], step: Step) -> Float[Array, "b 4"]:
-    """At most c_0 + c_1 exp(-(v / c_2)^2) [Armstrong-Helouvry 1994]."""
+    """c_0 + c_1 exp(-(v / c_2)^2) [Armstrong-Helouvry 1994]."""
     sliding, excess, slow = (on_axes(step.layout, values, staying(step.layout)) for values in c)
     share = step.now.velocity / jnp.where(slow > 0, slow, jnp.inf)
-    return _opposed(step, sliding + excess * jnp.exp(-(share**2)))
+    return sliding + excess * jnp.exp(-(share**2))
 
 
 def _under_load(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
-    """At most c |load|; the load is the force that is commanded, or how far the motion is from the commanded one."""
+    """c |load|; the load is the force that is commanded, or how far the motion is from the commanded one."""
     layout, at = step.layout, {"position": halfway(step), "velocity": step.now.velocity}
     loads = []
     for b, a in _driven(layout):
         column = layout.driven[b, a]
         kind = layout.schema.command[column].kind
         loads.append(step.command[column] - (at[kind][b, a] if kind in at else 0.0))
-    return _opposed(step, jnp.abs(on_axes(layout, c[0] * jnp.stack(loads), _driven(layout))))
+    return jnp.abs(on_axes(layout, c[0] * jnp.stack(loads), _driven(layout)))
 
 
 def _driven(layout: Layout) -> list[tuple[int, int]]:
@@ -69,12 +59,12 @@ def _stribecks(scales: Scales, site: int) -> list[list[float]]:
 
 EFFECTS = (
     Effect(
-        "coulomb_friction", "push", (Constant("loss", "{u}", low=0.0, credible=_usual_command),), axis_sites,
+        "coulomb_friction", "friction", (Constant("loss", "{u}", low=0.0, credible=_usual_command),), axis_sites,
         lambda scales, site: [[0.1 * float(scales.axis_command[site])]], _coulomb,
         "dry friction: a constant resistance of {loss} works against the motion", tie="same_unit",
     ),
     Effect(
-        "stribeck_friction", "push",
+        "stribeck_friction", "friction",
         (
             Constant("sliding loss", "{u}", low=0.0),
             Constant("static excess", "{u}", low=0.0),
@@ -85,7 +75,7 @@ EFFECTS = (
         "{speed}", tie="same_unit", extends="coulomb_friction",
     ),
     Effect(
-        "load_friction", "push", (Constant("ratio", "-", low=0.0, high=0.95),), _driven_sites,
+        "load_friction", "friction", (Constant("ratio", "-", low=0.0, high=0.95),), _driven_sites,
         lambda scales, site: [[0.1]], _under_load,
         "dry friction in proportion to the load works against the motion: {ratio} of it", tie="any",
     ),

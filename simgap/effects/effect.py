@@ -1,6 +1,6 @@
 """What an effect of the catalogue is: a law that a simulator may lack, without effect where its constants are zero.
 
-A law acts at one of eight places of a simulated step (see `step.advance`). An augmented simulator applies all laws of
+A law acts at one of nine places of a simulated step (see `step.advance`). An augmented simulator applies all laws of
 the catalogue at all their sites, each with its constants; with all constants zero it is the bare simulator. Internal
 constants are chosen so that this holds: a limit, for example, is stored as its reciprocal.
 """
@@ -16,7 +16,7 @@ from simgap.engines import Table
 from simgap.kinematics import Motion
 from simgap.layout import Layout
 
-Place = Literal["command", "filter", "before", "engine", "push", "hysteresis", "after", "sensing"]
+Place = Literal["command", "filter", "before", "engine", "push", "friction", "hysteresis", "after", "sensing"]
 Bend = Literal["past", "command", "speed", "place"]
 """How a law's true form may differ from its form in the catalogue: in its memory, or in how it depends on the command,
 the speed or the position where it acts."""
@@ -24,7 +24,7 @@ _BENDS: dict[str, tuple[Bend, ...]] = {
     "command": ("command",),
     "filter": ("past",),
     "before": ("past",), "after": ("past",), "sensing": ("past", "place"),
-    "push": ("speed",), "hysteresis": ("speed",),
+    "push": ("speed",), "friction": ("speed",), "hysteresis": ("speed",),
     "engine": ("past", "speed", "place"),
 }  # fmt: skip
 HISTORY_ROWS = 8
@@ -153,7 +153,8 @@ class Effect:
     local maxima along the constant. basins: it has a few; the simulator's parameters lead to one with too small a
     constant, so fits start from all of `starts`. event: it acts in a window of one session. slope(c, state): of what a
     sensor shows, by the state, where it is not one. folds: two states give one measurement, so that a start does not
-    follow from what is measured there. coarse: it concerns steps as long as a row, which an engine divides into many.
+    follow from what is measured there. slight: it takes less to compute than XLA takes to decide whether to; it is
+    computed even where it does not act. coarse: it concerns steps as long as a row, which an engine divides into many.
     extends: id of a simpler law that it is as well, or nearly, with some of its constants. bends: see `Bend`; by
     default those of its place.
     """
@@ -173,6 +174,7 @@ class Effect:
     event: bool = False
     slope: Callable[[Any, Array], Array] | None = None
     folds: bool = False
+    slight: bool = False
     coarse: bool = False
     tie: Literal["never", "same_unit", "any"] = "never"
     extends: str = ""
@@ -189,17 +191,11 @@ class Effect:
 
 class Step(NamedTuple):
     """What the law of a push can use: the motion now, the motion that the simulator expects, the states of both, the
-    command and the layout.
-
-    response(): change of the expected own velocity per unit of push, by body and axis. own(): the expected motion of
-    bodies that remember only their own velocity, not what carriers add. Each call computes one more simulator step.
-    """
+    command and the layout."""
 
     now: Motion
     then: Motion
     states: tuple[Float[Array, " s"], Float[Array, " s"]]
-    response: Callable[[], Float[Array, "b 4"]]
-    own: Callable[[], Motion]
     command: Float[Array, " u"]
     layout: Layout
     scales: Scales

@@ -87,21 +87,22 @@ EFFECTS = (
     Effect(
         "sensor_scale", "sensing", (Constant("scale", "-", lambda c, site, scales: 1 + c, -0.9, 3.0),), output_sites,
         lambda scales, site: [[0.05]], _scale, "a measured output is scaled by {scale}", tie="any",
-        slope=_slope_of_scale,
+        slope=_slope_of_scale, slight=True,
     ),
     Effect(
         "sensor_bias", "sensing", (Constant("bias", "{u}"),), output_sites,
         lambda scales, site: [[0.05 * float(scales.output[site])]], _bias, "a measured output is off by {bias}",
+        slight=True,
     ),
     Effect(
         "sensor_bias", "sensing", (Constant("drift", "{u}/min"),), output_sites, _drifting, _drift,
-        "a measured output drifts off by {drift}", form="drift",
+        "a measured output drifts off by {drift}", form="drift", slight=True,
     ),
     Effect(
         "rectified_sensor", "sensing",
         (Constant("ratio", "-", lambda c, site, scales: 2 * c - 1, 0.0, 2.0, least=lambda site, scales: 0.5),),
         output_sites, lambda scales, site: [[1.0]], _rectified,
         "a sensor loses the sign: it shows negative values as positive ones, {ratio} times as large", tie="same_unit",
-        slope=_slope_of_rectifier, folds=True,
+        slope=_slope_of_rectifier, folds=True, slight=True,
     ),
 )  # fmt: skip

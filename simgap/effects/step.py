@@ -11,9 +11,9 @@ from simgap.effects.command_filters import NEVER, fading_of
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Earlier, Memory, Row, Scales, Step
 from simgap.effects.sensing import padded
 from simgap.effects.sites import usual_push
-from simgap.effects.stepping import Given, next_state, parts_of, pushed_state, terms_of
+from simgap.effects.stepping import Given, ending, next_state, parts_of, pushed_state, terms_of
 from simgap.engines import is_engine
-from simgap.kinematics import Motion, carried_velocity, motion, substituted, wrapped
+from simgap.kinematics import motion, wrapped
 
 
 def remember(
@@ -140,8 +140,8 @@ def advance(
     """The next state and memory.
 
     In order: the command path (`follow`); which velocity is remembered ("before"); the simulator's own step, with the
-    terms of an engine ("engine"); the pushes, from the motion before and after that step ("push", "hysteresis"), and
-    the step again with them; how positions advance and what stops them ("after").
+    terms of an engine ("engine"); the pushes, from the motion before and after that step ("push", "friction",
+    "hysteresis"), and the step again with them; how positions advance and what stops them ("after").
     """
     layout = augmented.layout
     memory, u = follow(augmented, theta, memory, command, row, active)
@@ -151,30 +151,19 @@ def advance(
 
     given = Given(phi, u, row.table, terms_of(augmented, theta, active))
     then = next_state(augmented, start, given)
-    laws, lasting = (augmented.laws(theta, active, place) for place in ("push", "hysteresis"))
+    laws, dry, lasting = (augmented.laws(theta, active, place) for place in ("push", "friction", "hysteresis"))
 
     def pushed() -> tuple[dict[str, Float[Array, "b 4"]], Float[Array, " s"]]:
         now, expected = motion(layout, state), motion(layout, then)
         nil = jnp.zeros_like(now.velocity)
 
-        def with_push(delta: Float[Array, "b 4"]) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
-            return pushed_state(augmented, start, given, now.heading, delta)
-
-        def response() -> Float[Array, "b 4"]:
-            # A push of the usual size: in some units a push of one would be lost in the rounding of the velocity.
-            size = usual_push(layout, scales)
-            moved, _ = with_push(size * jnp.ones_like(nil))
-            # Frames are held fixed: a push that turns a body must not count along its other axes.
-            for heading in {h for h in layout.heading if h is not None}:
-                moved = substituted(moved, heading, then[heading])
-            return (motion(layout, moved).velocity - expected.velocity) / size
-
-        def own() -> Motion:
-            alone = start - carried_velocity(layout, start, start)
-            return motion(layout, next_state(augmented, alone, given))
-
         sent = u if u.ndim == 1 else u.mean(0)
-        step = Step(now, expected, (state, then), response, own, sent, layout, scales, row)
+        step = Step(now, expected, (state, then), sent, layout, scales, row)
+
+        def friction() -> Float[Array, "b 4"]:
+            """Against the motion, or the smaller push that ends it within the step: the body sticks."""
+            most = sum((law.effect.law(law.c, step) for law in dry), nil)
+            return jnp.clip(ending(augmented, start, given, step, usual_push(layout, scales)), -most, most)
 
         def along(law: Law, end: Float[Array, " s"]) -> tuple[Float[Array, "b 4"], Float[Array, "b 4"]]:
             """Bend at the end of the way to a state, and the push on that way."""
@@ -183,14 +172,15 @@ def advance(
             return law(unchanged, bent, wrapped(layout, end - state), layout)
 
         pushes = [law(nil, step) for law in laws]
+        pushes += [where(_any(dry), friction, nil)] if dry else []
         pushes += [along(law, then)[1] for law in lasting]
-        moved, rates = with_push(sum(pushes, nil))
+        moved, rates = pushed_state(augmented, start, given, now.heading, sum(pushes, nil))
         end = moved + augmented.simulator.time_step * rates
         # By the predicted way: that between corrected states would be longer by their noise.
         return {law.effect.key: along(law, end)[0] for law in lasting}, end
 
-    if laws or lasting:
-        bent, then = where(_any([*laws, *lasting]), pushed, (memory.bent, then))
+    if laws or dry or lasting:
+        bent, then = where(_any([*laws, *dry, *lasting]), pushed, (memory.bent, then))
         memory = memory._replace(bent=bent)
     for law in augmented.laws(theta, active, "after"):
         then = law(then, state, then, layout, scales, row)
@@ -211,7 +201,7 @@ def sensed(
     slope = jnp.ones_like(state)
     for law in augmented.laws(theta, active, "sensing"):
         if (of := law.effect.slope) is not None:
-            slope = slope * where(law.on, lambda of=of, c=law.c, at=state: of(c, at), jnp.ones_like(state))
+            slope = slope * where(law.on, lambda of=of, law=law, at=state: of(law.c, at), jnp.ones_like(state))
         state = law(state, state, memory.states, row, augmented.layout)
     return state, slope
 

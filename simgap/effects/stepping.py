@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Active, Augmented, Theta
+from simgap.effects.effect import Step
 from simgap.engines import Engine, Table, is_engine
-from simgap.kinematics import push
+from simgap.kinematics import carried_velocity, motion, push, substituted
 from simgap.layout import Layout
 
 
@@ -62,6 +63,29 @@ def pushed_state(
         return then, jnp.zeros_like(then)
     du, dv, dp = push(augmented.layout, heading, delta)
     return augmented.simulator.step(given.phi, state, given.command + du) + dv, dp
+
+
+def ending(
+    augmented: Augmented,
+    state: Float[Array, " s"],
+    given: Given,
+    step: Step,
+    size: Float[Array, "b 1"],
+) -> Float[Array, "b 4"]:
+    """The push on each body, by axis, that ends its motion within the step.
+
+    The motion is that which the body's own drive causes, not what carriers add. Otherwise, where a simulator's velocity
+    memory includes the carrier's motion, an arm at rest on a walking base would slide in its joints. size: of a usual
+    push; in some units a push of one would be lost in the rounding of the velocity.
+    """
+    layout, (_, then) = step.layout, step.states
+    moved, _ = pushed_state(augmented, state, given, step.now.heading, size * jnp.ones_like(step.now.velocity))
+    # Frames are held fixed: a push that turns a body must not count along its other axes.
+    for heading in {h for h in layout.heading if h is not None}:
+        moved = substituted(moved, heading, then[heading])
+    response = (motion(layout, moved).velocity - step.then.velocity) / size
+    alone = next_state(augmented, state - carried_velocity(layout, state, state), given)
+    return -motion(layout, alone).velocity / jnp.where(response != 0, response, jnp.inf)
 
 
 def efforts(layout: Layout) -> list[tuple[int, int]]:

@@ -11,6 +11,7 @@ _PLACES = {
     "filter": "the command, with a memory",
     "before": "the motion, before the step",
     "push": "a push on a body",
+    "friction": "a push on a body, up to what ends its motion",
     "hysteresis": "a push on a body, with a memory",
     "after": "the motion, after the step",
     "sensing": "what is measured of the state",

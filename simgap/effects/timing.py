@@ -112,11 +112,12 @@ EFFECTS = (
         (Constant("interval", "s", lambda c, site, scales: scales.time_step * (1 + c), -MISTIMED, MISTIMED),),
         _whole_site,
         lambda scales, site: [[0.1]], _interval, "the true time step is {interval}", form="constant",
+        slight=True,
     ),
     Effect(
         "sampling_interval", "after", (Constant("share", "-", low=0.0, high=1.5),), _position_site,
         lambda scales, site: [[1.0]], _stamped,
         "rows are unevenly spaced: positions advance by each row's own interval (to a share of {share})",
-        form="stamped",
+        form="stamped", slight=True,
     ),
 )  # fmt: skip

@@ -88,6 +88,28 @@ def test_a_simulator_that_sees_one_state_takes_it_to_have_moved_as_it_does() -> 
     assert off[1] < 2 * NOISE < off[0] / 5
 
 
+def test_several_dry_frictions_are_one_that_stops_and_does_not_turn_back() -> None:
+    """A Coulomb friction and one in proportion to the load: slow motion ends, fast motion slows by their sum."""
+    augmented = Augmented(JOINT)
+    scales = measure(augmented, [recorded(np.random.default_rng(0))])
+
+    def speed_after(w: float, **constants: float) -> float:
+        theta = np.zeros(len(augmented.slots), np.float32)
+        for key, value in constants.items():
+            law = next(i for i, e in enumerate(augmented.catalogue) if e.key == key)
+            theta[augmented.index[Slot(law, 0, 0)]] = value
+        acting = Acting(theta, np.zeros((0, len(theta)), np.float32), ())
+        robot = AugmentedSimulator.of(JOINT, acting, scales)
+        return float(robot.step(jnp.array([0.5]), jnp.array([0.0, w]), jnp.array([2.0]))[1])
+
+    both = {"coulomb_friction": 2.0, "load_friction": 0.8}
+    assert speed_after(-0.055) < -0.01
+    assert speed_after(-0.055, **both) == pytest.approx(0.0, abs=1e-6)
+    alone = [speed_after(5.0) - speed_after(5.0, **{key: value}) for key, value in both.items()]
+    assert min(alone) > 0.02
+    assert speed_after(5.0) - speed_after(5.0, **both) == pytest.approx(sum(alone), rel=1e-4)
+
+
 def test_a_place_has_one_law_of_dry_friction() -> None:
     """Two would only mend each other's form. Another joint may have another one."""
     augmented = Augmented(JOINT)
