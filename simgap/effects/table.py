@@ -7,14 +7,14 @@ from simgap.effects.behind_joints import BEHIND_JOINTS
 from simgap.effects.effect import Effect
 
 _PLACES = {
-    "command": "the command, before the step",
-    "filter": "the command, with a memory",
-    "before": "the motion, before the step",
-    "push": "a push on a body",
-    "friction": "a push on a body, up to what ends its motion",
-    "hysteresis": "a push on a body, with a memory",
-    "after": "the motion, after the step",
-    "sensing": "what is measured of the state",
+    "command": "On the command, before the step",
+    "filter": "On the command, with a memory",
+    "before": "On the motion, before the step",
+    "push": "Push a body",
+    "friction": "Push a body against its motion, at most to rest",
+    "hysteresis": "Push a body, with a memory",
+    "after": "On the motion, after the step",
+    "sensing": "On what is measured of the state",
 }
 _HEAD = """# Effects: the vocabulary of the diagnosis
 
@@ -36,7 +36,7 @@ def page() -> str:
     """The page, in Markdown."""
     lines = [_HEAD]
     for place, effects in groupby(sorted(CATALOGUE, key=lambda e: list(_PLACES).index(e.place)), lambda e: e.place):
-        lines += [f"## Acts on {_PLACES[place]}\n", "| effect | constants | in words | what may share constants |",
+        lines += [f"## {_PLACES[place]}\n", "| effect | constants | in words | what may share constants |",
                   "| --- | --- | --- | --- |", *map(_row, effects), ""]  # fmt: skip
     lines += [_BEHIND, *(f"| `{id}` | {c.constant} [{c.unit}] | {c.says} |" for id, c in BEHIND_JOINTS.items()), ""]
     return "\n".join(lines)

@@ -113,6 +113,9 @@ def lowest(
     curvature, axes = np.linalg.eigh(hessian / np.outer(scale, scale))
     root = np.sqrt(np.maximum(curvature, ROUNDING))
     target = -(axes.T @ (gradient / scale)) / root
+    unbounded = axes @ (target / root) / scale
+    if (down <= unbounded).all() and (unbounded <= up).all():
+        return unbounded
     bounds = down * scale - NARROW, up * scale + NARROW
     return np.clip(lsq_linear(root[:, None] * axes.T, target, bounds, method="bvls").x / scale, down, up)
 
