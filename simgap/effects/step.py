@@ -15,6 +15,9 @@ from simgap.effects.stepping import Given, ending, next_state, parts_of, pushed_
 from simgap.engines import is_engine
 from simgap.kinematics import motion, wrapped
 
+_Bends = dict[str, Float[Array, "b 4"]]
+"""The memory of every law of hysteresis, by key."""
+
 
 def remember(
     augmented: Augmented,
@@ -70,17 +73,23 @@ def remember(
 
 def _bent(
     augmented: Augmented, laws: Sequence[Law], state: Float[Array, " s"], earlier: Float[Array, "w s"] | None
-) -> dict[str, Float[Array, "b 4"]]:
+) -> _Bends:
     """Memories of laws of hysteresis after the ways between the earlier states and to `state`."""
-    unbent = jnp.zeros((len(augmented.layout.bodies), 4))
-    if earlier is None:
-        return {law.effect.key: unbent for law in laws}
+    unbent = {law.effect.key: jnp.zeros((len(augmented.layout.bodies), 4)) for law in laws}
+    if earlier is None or not laws:
+        return unbent
     ways = wrapped(augmented.layout, jnp.diff(jnp.concatenate([earlier[::-1], state[None]]), axis=0))
+    step = lambda bent, way: (_bend(augmented, laws, bent, way)[0], None)  # noqa: E731
+    return where(_any(laws), lambda: jax.lax.scan(step, unbent, ways)[0], unbent)
 
-    def after(law: Law) -> Float[Array, "b 4"]:
-        return jax.lax.scan(lambda z, way: (law.effect.law(law.c, z, way, augmented.layout)[0], None), unbent, ways)[0]
 
-    return {law.effect.key: where(law.on, lambda law=law: after(law), unbent) for law in laws}
+def _bend(
+    augmented: Augmented, laws: Sequence[Law], bent: _Bends, way: Float[Array, " s"]
+) -> tuple[_Bends, Float[Array, "b 4"]]:
+    """Memories of laws of hysteresis at the end of a way, and their push on it."""
+    found = {law.effect.key: law.effect.law(law.c, bent[law.effect.key], way, augmented.layout) for law in laws}
+    still = jnp.zeros((len(augmented.layout.bodies), 4))
+    return {key: z for key, (z, _) in found.items()}, sum((push for _, push in found.values()), still)
 
 
 def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
@@ -153,10 +162,9 @@ def advance(
     then = next_state(augmented, start, given)
     laws, dry, lasting = (augmented.laws(theta, active, place) for place in ("push", "friction", "hysteresis"))
 
-    def pushed() -> tuple[dict[str, Float[Array, "b 4"]], Float[Array, " s"]]:
+    def pushed() -> tuple[_Bends, Float[Array, " s"]]:
         now, expected = motion(layout, state), motion(layout, then)
         nil = jnp.zeros_like(now.velocity)
-
         sent = u if u.ndim == 1 else u.mean(0)
         step = Step(now, expected, (state, then), sent, layout, scales, row)
 
@@ -165,19 +173,16 @@ def advance(
             most = sum((law.effect.law(law.c, step) for law in dry), nil)
             return jnp.clip(ending(augmented, start, given, step, usual_push(layout, scales)), -most, most)
 
-        def along(law: Law, end: Float[Array, " s"]) -> tuple[Float[Array, "b 4"], Float[Array, "b 4"]]:
-            """Bend at the end of the way to a state, and the push on that way."""
-            bent = memory.bent[law.effect.key]
-            unchanged = (bent, nil)
-            return law(unchanged, bent, wrapped(layout, end - state), layout)
+        def bend(end: Float[Array, " s"]) -> tuple[_Bends, Float[Array, "b 4"]]:
+            return _bend(augmented, lasting, memory.bent, wrapped(layout, end - state))
 
         pushes = [law(nil, step) for law in laws]
         pushes += [where(_any(dry), friction, nil)] if dry else []
-        pushes += [along(law, then)[1] for law in lasting]
+        pushes += [where(_any(lasting), lambda: bend(then)[1], nil)] if lasting else []
         moved, rates = pushed_state(augmented, start, given, now.heading, sum(pushes, nil))
         end = moved + augmented.simulator.time_step * rates
         # By the predicted way: that between corrected states would be longer by their noise.
-        return {law.effect.key: along(law, end)[0] for law in lasting}, end
+        return where(_any(lasting), lambda: bend(end)[0], memory.bent) if lasting else memory.bent, end
 
     if laws or dry or lasting:
         bent, then = where(_any([*laws, *dry, *lasting]), pushed, (memory.bent, then))
