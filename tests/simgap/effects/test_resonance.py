@@ -5,10 +5,31 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joint import JOINT, freely, recorded
+from stated import check_named_alone, stated
 
 from simgap.effects.command_filters import NEVER, resonance, resting
+from simgap.types import Recording
 
 FINE = 600
+PERIOD, DAMPING = 0.3, 0.2
+
+
+def ringing(rng: np.random.Generator) -> Recording:
+    """A joint whose torque swings about the commanded one."""
+    acting, rate, w = 0.0, 0.0, 2 * np.pi / PERIOD
+
+    def follows(q: float, speed: float, torque: float, h: float) -> tuple[float, float]:
+        nonlocal acting, rate
+        rate += h * (w**2 * (torque - acting) - 2 * DAMPING * w * rate)
+        acting += h * rate
+        return freely(q, speed, acting, h)
+
+    return recorded(rng, follows)
+
+
+def test_a_torque_that_swings_is_named_with_its_period() -> None:
+    check_named_alone(stated(JOINT, ringing, 0), "resonance", {"period": PERIOD, "damping": DAMPING})
 
 
 def integrated(rows: float, damping: float, commands: list[float]) -> tuple[np.ndarray, np.ndarray]:
