@@ -13,7 +13,6 @@ from simgap.diagnosis.inference.posterior import means_another
 from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.score_test import screen, vary
 from simgap.diagnosis.inference.screening import Screened
-from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -107,27 +106,20 @@ def _extends_in_vain(t: Trial, tried: Sequence[Trial]) -> bool:
 
 
 def _to_its_end(problem: Problem, t: Trial) -> Trial:
-    """Fit to convergence. An effect with basins is also fitted from the start beyond its current value that leads to
-    the best fit with one set of derivatives.
+    """Fit to convergence. An effect with basins is also fitted from every start beyond its current value.
 
-    These are the derivatives at the start itself. The current ones do not lead on from there, nor do parameters that
-    were fitted in another basin.
+    These fits use derivatives at the start itself. The current derivatives do not lead on from there, nor do parameters
+    that were fitted in another basin.
     """
-    begun = [t]
+    converged = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
     if t.hypothesis.effect.basins:
-        current = value_of(t.fit.v, t.hypothesis.groups[0])
-        others = (_begun(problem, t, start) for start in t.hypothesis.starts if start[0] > current)
-        begun += sorted((o for o in others if np.isfinite(o.gain)), key=lambda o: -o.gain)[:1]
-    ends = [b.further(lambda f: optimise(problem, f, settled(t.gain))[0]) for b in begun]
-    return max(ends, key=lambda end: end.gain)
-
-
-def _begun(problem: Problem, t: Trial, constants: Sequence[float]) -> Trial:
-    """The trial fitted from other constants, with the derivatives there."""
-    initial = evaluate(problem, vary(t.without.v, t.hypothesis, constants), t.fit.groups, t.without.noise)
-    if not np.isfinite(initial.loglik):
-        return t.further(lambda _: initial)
-    return t.further(lambda _: refine(problem, initial, hold(initial, nuisance_columns(problem, initial.v)), HELD))
+        group = t.hypothesis.groups[0]
+        current = value_of(t.fit.v, group)
+        for start in (s for s in t.hypothesis.starts if s[0] > current):
+            initial = evaluate(problem, vary(t.without.v, t.hypothesis, start), t.fit.groups, t.without.noise)
+            if np.isfinite(initial.loglik):
+                converged.append(t.further(lambda _, initial=initial: optimise(problem, initial, settled(t.gain))[0]))
+    return max(converged, key=lambda end: end.gain)
 
 
 def promising(found: Sequence[Screened]) -> list[Screened]:
