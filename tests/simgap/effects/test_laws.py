@@ -593,6 +593,11 @@ def test_ids_are_the_vocabularys() -> None:
     assert len(keys) == len(set(keys))
 
 
+def test_only_laws_that_are_switched_one_by_one_are_slight() -> None:
+    """Pushes and filters are computed if one of them acts: a slight one would not count."""
+    assert {e.place for e in CATALOGUE if e.slight} <= {"command", "before", "after", "sensing"}
+
+
 def test_what_stands_in_theta_is_what_the_catalogue_holds() -> None:
     for augmented in ROBOTS.values():
         sizes = [len(e.constants) * len(sites) for e, sites in zip(CATALOGUE, augmented.sites, strict=True)]
