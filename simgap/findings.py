@@ -147,8 +147,8 @@ def _of_velocities(found: Survey) -> Iterator[str]:
             yield (f"{name} does not match the change of {k.position} (correlation {k.correlation:.2f}). Check "
                    "frames (world or body), topic and clocks.")  # fmt: skip
         elif not 0.8 < k.slope < 1.25:
-            known = " A simulator that has a parameter for that factor may still be right." if k.in_other_units else ""
-            yield survey.sentence(name, k) + known
+            caveat = " A simulator that has a parameter for that factor may still be right." if k.in_other_units else ""
+            yield survey.sentence(name, k) + caveat
     yield from (sentence(d) for d in found.derived)
 
 

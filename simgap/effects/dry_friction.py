@@ -16,6 +16,11 @@ SLOW = (0.03, 0.1, 0.3)
 """Starting values of a speed below which friction rises, as shares of the usual speed."""
 
 
+def opposed(ending: Float[Array, "b 4"], most: Float[Array, "b 4"]) -> Float[Array, "b 4"]:
+    """A push of size `most` against the motion, or the smaller push `ending`, which ends it: the body sticks."""
+    return jnp.clip(ending, -most, most)
+
+
 def _coulomb(c: Float[Array, "1 n"], step: Step) -> Float[Array, "b 4"]:
     """c."""
     return on_axes(step.layout, c[0])

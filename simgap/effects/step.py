@@ -1,13 +1,15 @@
 """One step of the augmented simulator: command path, memory, motion, and sensors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from simgap.effects.augmented import Active, Augmented, Law, Theta, where
 from simgap.effects.command_filters import NEVER, fading_of
+from simgap.effects.dry_friction import opposed
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Earlier, Memory, Row, Scales, Step
 from simgap.effects.sensing import padded
 from simgap.effects.sites import usual_push
@@ -67,7 +69,7 @@ def remember(
             memory = memory._replace(filters={**memory.filters, **lasting})
         return run(memory, sent[HISTORY_ROWS:]).filters
 
-    filter_states = where(_any(filters), settled, rested(past[0])) if filters else {}
+    filter_states = _if_any(filters, settled, rested(past[0]))
     return Memory(past[:HISTORY_ROWS], filter_states, bent, states, forgets)
 
 
@@ -76,11 +78,11 @@ def _bent(
 ) -> _Bends:
     """Memories of laws of hysteresis after the ways between the earlier states and to `state`."""
     unbent = {law.effect.key: jnp.zeros((len(augmented.layout.bodies), 4)) for law in laws}
-    if earlier is None or not laws:
+    if earlier is None:
         return unbent
     ways = wrapped(augmented.layout, jnp.diff(jnp.concatenate([earlier[::-1], state[None]]), axis=0))
     step = lambda bent, way: (_bend(augmented, laws, bent, way)[0], None)  # noqa: E731
-    return where(_any(laws), lambda: jax.lax.scan(step, unbent, ways)[0], unbent)
+    return _if_any(laws, lambda: jax.lax.scan(step, unbent, ways)[0], unbent)
 
 
 def _bend(
@@ -92,10 +94,12 @@ def _bend(
     return {key: z for key, (z, _) in found.items()}, sum((push for _, push in found.values()), still)
 
 
-def _any(laws: Sequence[Law]) -> Bool[Array, ""] | None:
-    """Whether any of the laws acts; None: they all do."""
+def _if_any(laws: Sequence[Law], value: Callable[[], Any], nil: Any) -> Any:
+    """`value()` if one of the laws acts, else `nil` of the same shapes."""
     switches = [law.on for law in laws if law.on is not None]
-    return jnp.stack(switches).any() if switches else None
+    if not laws:
+        return nil
+    return where(jnp.stack(switches).any() if switches else None, value, nil)
 
 
 def follow(
@@ -169,24 +173,21 @@ def advance(
         step = Step(now, expected, (state, then), sent, layout, scales, row)
 
         def friction() -> Float[Array, "b 4"]:
-            """Against the motion, or the smaller push that ends it within the step: the body sticks."""
-            most = sum((law.effect.law(law.c, step) for law in dry), nil)
-            return jnp.clip(ending(augmented, start, given, step, usual_push(layout, scales)), -most, most)
+            limits = [law.effect.law(law.c, step) for law in dry]
+            return opposed(ending(augmented, start, given, step, usual_push(layout, scales)), sum(limits, nil))
 
         def bend(end: Float[Array, " s"]) -> tuple[_Bends, Float[Array, "b 4"]]:
             return _bend(augmented, lasting, memory.bent, wrapped(layout, end - state))
 
-        pushes = [law(nil, step) for law in laws]
-        pushes += [where(_any(dry), friction, nil)] if dry else []
-        pushes += [where(_any(lasting), lambda: bend(then)[1], nil)] if lasting else []
-        moved, rates = pushed_state(augmented, start, given, now.heading, sum(pushes, nil))
+        push = sum((law(nil, step) for law in laws), nil)
+        push = push + _if_any(dry, friction, nil) + _if_any(lasting, lambda: bend(then)[1], nil)
+        moved, rates = pushed_state(augmented, start, given, now.heading, push)
         end = moved + augmented.simulator.time_step * rates
         # By the predicted way: that between corrected states would be longer by their noise.
-        return where(_any(lasting), lambda: bend(end)[0], memory.bent) if lasting else memory.bent, end
+        return _if_any(lasting, lambda: bend(end)[0], memory.bent), end
 
-    if laws or dry or lasting:
-        bent, then = where(_any([*laws, *dry, *lasting]), pushed, (memory.bent, then))
-        memory = memory._replace(bent=bent)
+    bent, then = _if_any([*laws, *dry, *lasting], pushed, (memory.bent, then))
+    memory = memory._replace(bent=bent)
     for law in augmented.laws(theta, active, "after"):
         then = law(then, state, then, layout, scales, row)
     return memory._replace(states=jnp.concatenate([state[None], memory.states[:-1]])), then

@@ -114,7 +114,7 @@ def lowest(
     root = np.sqrt(np.maximum(curvature, ROUNDING))
     target = -(axes.T @ (gradient / scale)) / root
     unbounded = axes @ (target / root) / scale
-    if (down <= unbounded).all() and (unbounded <= up).all():
+    if (down <= unbounded).all() and (unbounded <= up).all():  # as of most steps; the bounded solver takes longer
         return unbounded
     bounds = down * scale - NARROW, up * scale + NARROW
     return np.clip(lsq_linear(root[:, None] * axes.T, target, bounds, method="bvls").x / scale, down, up)

@@ -242,30 +242,37 @@ def test_every_effect_acts(robot: str) -> None:
 # Dissipation
 
 
-def look(robot: str, seed: int) -> Step:
-    """What a push sees in a random scene."""
+def look(robot: str, seed: int) -> tuple[Step, np.ndarray]:
+    """What a push sees in a random scene, and a response to a push that is positive, as robots' are."""
     augmented = ROBOTS[robot]
     _, state, command = scene(robot, seed)
     after = scene(robot, seed + 1)[1]
     now, then = motion(augmented.layout, state), motion(augmented.layout, after)
-    return Step(now, then, (state, after), command, augmented.layout, scales(robot), ROW)
+    response = np.abs(motion(augmented.layout, scene(robot, seed + 2)[1]).velocity)
+    return Step(now, then, (state, after), command, augmented.layout, scales(robot), ROW), response
 
 
 @robots
 @given(seed=seeds)
 @settings(max_examples=20, deadline=None)
 def test_resistances_never_add_power(robot: str, seed: int) -> None:
-    """Of dry friction, the most that it may be is no push forwards: it works against the motion."""
-    step, rng = look(robot, seed), np.random.default_rng(seed)
+    step, response = look(robot, seed)
+    rng = np.random.default_rng(seed)
+    ending = -step.then.velocity / np.where(response != 0, response, np.inf)
     for effect in (*resistance.EFFECTS, *dry_friction.EFFECTS):
-        sites = sites_of(robot, effect)
+        sites, dry = sites_of(robot, effect), effect.place == "friction"
         if sites:
             assert all(c.low >= 0 for c in effect.constants)
             size = (len(effect.constants), len(sites))
             found = effect.law(jnp.asarray(rng.exponential(size=size), jnp.float32), step)
-            power = -found if effect.place == "friction" else found * step.now.velocity
-            assert power.max() <= 0
-            assert float(jnp.abs(found).sum()) > 0
+            push = dry_friction.opposed(ending, found) if dry else found
+            # Dry friction works against the motion it would else leave, the others against the motion at hand.
+            resisted = step.then.velocity if dry else step.now.velocity
+            assert (push * resisted).max() <= 0
+            assert float(jnp.abs(push).sum()) > 0
+            if dry:  # it stops, it does not turn back
+                left = np.asarray(step.then.velocity + push * response)
+                assert (left * np.asarray(step.then.velocity) >= -1e-6).all()
 
 
 @robots
