@@ -26,7 +26,8 @@ FITTED = 0.75
 class Found(NamedTuple):
     """The simulator with what was found and what identifies the diagnosis.
 
-    Effects on the scatter, those that act for a while only, and mere nearest words are not in it.
+    All accepted effects are in it, named or not: their constants were fitted together, and without some of them the
+    others are wrong. Effects on the scatter and those that act for a while only are not.
     """
 
     simulator: AugmentedSimulator
@@ -98,11 +99,11 @@ def keep(
     from simgap.diagnosis.inference.explain import explain  # takes most of a second, and few grids need it
 
     found = explain(spot, used, np.random.default_rng(seed), report)
-    simulator = AugmentedSimulator.of(spot, found.acting(found.known()), found.problem.scales)
+    simulator = AugmentedSimulator.of(spot, found.acting(found.fit), found.problem.scales)
     save_arrays(arrays, augmented_arrays(simulator))
     write_json(record, {**share._asdict(), "fingerprint": mark, "seconds": clock() - start,
                               "effects": list(simulator.effects),
-                              "found": [m.hypothesis.name for m in found.members if found.names(m)],
+                              "found": [m.hypothesis.name for m in found.members],
                               "scattered": [s.id for s in found.noise_effects]})  # fmt: skip
 
 

@@ -83,9 +83,8 @@ def asked(recordings: list[Recording], monkeypatch: pytest.MonkeyPatch) -> list[
         report("looking")
         found = late(recordings)
         return SimpleNamespace(
-            known=lambda: None,
+            fit=None,
             acting=lambda _: found.acting,
-            names=lambda _: True,
             problem=SimpleNamespace(scales=found.scales),
             members=[SimpleNamespace(hypothesis=SimpleNamespace(name="delay on all"))],
             noise_effects=[SimpleNamespace(id="dropout")],

@@ -5,13 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.config import EXPLAINED, LIKELY
 from simgap.diagnosis.hypotheses.support import ALWAYS, Support
 from simgap.diagnosis.inference.alternatives import Member
-from simgap.diagnosis.inference.model import Round, without
+from simgap.diagnosis.inference.model import Round
 from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.nonparametric import Law
-from simgap.diagnosis.inference.posterior import Spread, differs_from_zero
+from simgap.diagnosis.inference.posterior import Spread
 from simgap.diagnosis.inference.whiteness import Whiteness, named_share
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
@@ -72,19 +71,6 @@ class Explanation(NamedTuple):
         """Whether an effect only stands in for a hidden state that is named."""
         return any(h.named and member.hypothesis.name in h.replaces for h in self.hidden)
 
-    def names(self, member: Member) -> bool:
-        """Whether an effect explains its outputs, rather than being only the closest match.
-
-        It does not if no constant differs from zero: then it stands for what the parameters do. Nor if many ids fit
-        equally well or if its law must bend: then the cause is probably outside the vocabulary.
-        """
-        if member.odds[member.hypothesis.effect.id] < LIKELY:
-            return False
-        if member.gain < EXPLAINED * (member.gain + member.misfit):
-            return False
-        differs = differs_from_zero(self.problem, self.fit, member.hypothesis, self.sd)
-        return differs and self.named_share(member) >= EXPLAINED
-
     def named_share(self, member: Member) -> float:
         """Share that an effect explains of what there is to explain in the outputs that it improves."""
         nameless = np.maximum(self.whiteness.nats, self.law.nats(self.fit))
@@ -128,7 +114,3 @@ class Explanation(NamedTuple):
             return everywhere(theta + delta[0])
         lasting = [s for s, support in enumerate(self.supports) if isinstance(support, Regime)]
         return Acting(theta, delta[lasting], tuple(self.regimes[s] for s in lasting))
-
-    def known(self) -> Fit:
-        """The fit without the effects that are only closest matches. Nothing is refitted."""
-        return without(self.fit, [group for m in self.members if not self.names(m) for group in m.hypothesis.groups])

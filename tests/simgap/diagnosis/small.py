@@ -3,8 +3,11 @@
 import numpy as np
 from planted import SPOT, recordings
 
+from simgap.diagnosis.config import EXPLAINED, LIKELY
 from simgap.diagnosis.inference import explain as explanation
+from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
+from simgap.diagnosis.inference.posterior import differs_from_zero
 from simgap.diagnosis.likelihood.filter import Variables, filtered
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.scales import measure
@@ -45,3 +48,11 @@ def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chun
 def explain(training: list[Recording], heldout: list[Recording]) -> Explanation:
     """The best explanation, with the lines of the search in pytest's output."""
     return explanation.explain(SPOT.simulator, Sessions(training, heldout), np.random.default_rng(0), print)
+
+
+def assert_explains(found: Explanation, member: Member) -> None:
+    """An effect explains its outputs: likely, with a law that need not bend and constants that differ from zero."""
+    assert member.odds[member.hypothesis.effect.id] >= LIKELY
+    assert member.gain >= EXPLAINED * (member.gain + member.misfit)
+    assert differs_from_zero(found.problem, found.fit, member.hypothesis, found.sd)
+    assert found.named_share(member) >= EXPLAINED

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from planted import SPOT, recordings, stalled
-from small import RICH, ROWS, acting, problem
+from small import RICH, ROWS, acting, assert_explains, problem
 
 from simgap.diagnosis.config import LEAST_SESSIONS
 from simgap.diagnosis.hypotheses.space import changed, hypotheses_of
@@ -34,7 +34,7 @@ def since(before: dict, after: dict, share: float = 0.0) -> Explanation:
 def test_what_came_since_is_named_and_what_was_there_before_is_not() -> None:
     found = since(SAG, BOTH)
     assert [m.hypothesis.effect.id for m in found.members] == ["delay"]
-    assert found.names(found.members[0])
+    assert_explains(found, found.members[0])
 
 
 def test_of_a_change_the_change_is_told() -> None:

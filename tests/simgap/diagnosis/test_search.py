@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from planted import PHI, SCALES, SPOT, theta
-from small import KEYS, RICH, acting, explain, problem, sessions
+from small import KEYS, RICH, acting, assert_explains, explain, problem, sessions
 
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.features import inside
@@ -106,7 +106,7 @@ def test_planted_effects_are_named_with_their_constants(
     assert [m.hypothesis.effect.id for m in found.members] == [KEYS[key].id]
     (member,) = found.members
     assert member.odds[KEYS[key].id] > 0.9
-    assert found.names(member)
+    assert_explains(found, member)
     assert member.hypothesis.effect.key == key
     if key != "sensor_bias":  # of two positions only the difference counts: either may be off
         assert member.hypothesis.sites == sites
@@ -210,7 +210,7 @@ def test_what_is_nothing_over_all_sessions_is_found_with_its_beginning(
     """It acts at the end of every session, or of one, and is not seen where it is looked for in all of it."""
     found = explain(*sessions({}, RICH, during=acting(key, (constant,)), from_s=from_s, only=session))
     (member,) = found.members
-    assert found.names(member)
+    assert_explains(found, member)
     assert member.hypothesis.effect.key == key
     assert member.hypothesis.sites == (0,)
     match member.hypothesis.support:
@@ -245,7 +245,7 @@ def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, 
     assert (truth & estimated).sum() > 0.85 * (truth | estimated).sum()
     value, sd = value_of(found.fit.v, member.hypothesis.groups[0]), found.sd.constants[0]
     assert value == pytest.approx(constant, abs=max(0.1 * abs(constant), 3 * sd))
-    acts = found.acting(found.known())
+    acts = found.acting(found.fit)
     assert acts.regimes == found.regimes
     assert not acts.theta.any()
     assert acts.delta.any()
@@ -256,7 +256,7 @@ def test_a_limit_that_is_seldom_reached_is_found(reach: float) -> None:
     """It acts in a few blocks of rows only, and between the starts of the search."""
     found = explain(*sessions(acting("reach_limit.horizontal", (1 / reach,)), RICH))
     (member,) = found.members
-    assert found.names(member)
+    assert_explains(found, member)
     assert member.hypothesis.effect.key == "reach_limit.horizontal"
     assert 1 / float(found.fit.v.theta[member.hypothesis.groups[0].entries[0]]) == pytest.approx(reach, rel=0.01)
 
