@@ -32,7 +32,7 @@ def run(source: str, params: Params, root: Path) -> None:
         grid = policy.Grid(
             parent, tags, *map(fingerprint.code_digest, (fingerprint.POLICY, fingerprint.POLICY_RESIDUAL))
         )
-        work = {(workspace, cell): {"params": params.policy, "grid": grid} for cell in cells}
+        work = {(workspace, cell): {"params": params, "grid": grid} for cell in cells}
         failed = fan_out(f"policy on {source}", policy.learn_policy, work, params.policy.workers)
         if failed:
             raise SimgapError(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import simgap
-from tasks.params import Params, PolicyParams, TrainParams
+from tasks.params import Params, TrainParams
 from tasks.workspace import Cell, Share, TwinShare
 
 TRAINING = ("simgap.learn",)
@@ -73,7 +73,7 @@ def configuration(cell: Cell, params: TrainParams) -> str:
     return _mark({"cell": cell, "params": relevant_params(cell, params)})
 
 
-def configuration_of_policy(cell: Cell, params: PolicyParams) -> str:
+def configuration_of_policy(cell: Cell, params: Params) -> str:
     """The same for a policy."""
     return _mark({"cell": cell, "params": relevant_policy_params(params)})
 
@@ -88,7 +88,7 @@ def of_diagnosis(share: Share | TwinShare, data_digest: str, time_step: float, c
     return _mark({"share": share, "data": data_digest, "time_step": time_step, "code": code})
 
 
-def of_policy(cell: Cell, model: str, data_digest: str, params: PolicyParams, code: str) -> str:
+def of_policy(cell: Cell, model: str, data_digest: str, params: Params, code: str) -> str:
     """Identifies what a policy depends on; `model`: the fingerprint of the model it learns in."""
     relevant = {"model": model, "data": data_digest, "params": relevant_policy_params(params), "code": code}
     return _mark({"cell": cell, **relevant})
@@ -102,9 +102,11 @@ def of_twin(data_digest: str, params: Params, code: str, diagnosis: str) -> str:
     return _mark({"data": data_digest, "params": relevant, "code": code, "diagnosis": diagnosis})
 
 
-def relevant_policy_params(params: PolicyParams) -> dict[str, Any]:
+def relevant_policy_params(params: Params) -> dict[str, Any]:
     """The share of the parameters that a policy depends on."""
-    return {name: asdict(getattr(params, name)) for name in ("environment", "learning", "sac")}
+    own = {name: asdict(getattr(params.policy, name)) for name in ("environment", "learning", "sac")}
+    bounds = params.episode_bounds
+    return own if bounds is None else {**own, "bounds": asdict(bounds)}
 
 
 def _mark(relevant: dict[str, Any]) -> str:

@@ -9,7 +9,8 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from simgap import fsvgd, identify, priors
 from simgap.formats.validation import explained
 from simgap.formats.yaml_files import read_yaml
-from simgap.policies import environment, follow, learn, references, sac
+from simgap.policies import environment, learn, references, sac
+from simgap.policies.bounds import Bounds
 from simgap.residual import config
 from simgap.robots.twin import config as twin
 from simgap.types import ConfigError
@@ -132,7 +133,7 @@ class TrackParams(Strict):
     )
     ellipse: Annotated[references.Ellipse, Ranged()]
     helix: Annotated[references.Helix, Ranged()]
-    bounds: Annotated[follow.Bounds, Ranged()]
+    bounds: Annotated[Bounds, Ranged()]
     proportional: ProportionalParams
 
 
@@ -152,6 +153,11 @@ class Params(Strict):
     twin: TwinParams
     track: TrackParams
     diagnose: DiagnoseParams
+
+    @property
+    def episode_bounds(self) -> Bounds | None:
+        """Where an episode of a policy that learns is lost as a run on the robot is stopped; None for nowhere."""
+        return self.track.bounds if self.policy.environment.stopped else None
 
     def source(self, name: str) -> VirtualParams | FolderParams:
         """The recordings block of that name, or a ConfigError that lists those there are."""

@@ -25,7 +25,7 @@ from tasks.cells import Curve, finished, may_pass
 from tasks.files.digests import fingerprint_of
 from tasks.files.models import load_model, save_policy
 from tasks.fingerprint import configuration_of_policy, of_policy, relevant_policy_params
-from tasks.params import PolicyParams
+from tasks.params import Params, PolicyParams
 from tasks.tracking.models import log_policy
 from tasks.tracking.runs import Run, cell_run
 from tasks.train import Job
@@ -58,7 +58,7 @@ def grid(params: PolicyParams) -> list[Cell]:
 
 @task(task_run_name="policy-{cell.name}", retries=1, retry_condition_fn=may_pass)
 def learn_policy(
-    workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, job: Job, clock: Callable[[], float]
+    workspace: Workspace, cell: Cell, params: Params, grid: Grid, job: Job, clock: Callable[[], float]
 ) -> None:
     """Learn a cell's policy, unless that was done before; write it and its record, and log them.
 
@@ -67,7 +67,7 @@ def learn_policy(
     digest = transitions.digest(workspace)
     model = read_json(workspace.record(cell))["fingerprint"]
     mark = of_policy(cell, model, digest, params, grid.code_of(cell))
-    with job(cell.name, params.learning.environment_steps) as report:
+    with job(cell.name, params.policy.learning.environment_steps) as report:
         reused = finished(workspace.policy(cell), workspace.policy_record(cell), mark)
         if not reused:
             # Should this fail, the policy of other parameters must not pass for its result.
@@ -77,20 +77,21 @@ def learn_policy(
 
 
 def _learn(
-    workspace: Workspace, cell: Cell, params: PolicyParams, mark: str, report: Report, clock: Callable[[], float]
+    workspace: Workspace, cell: Cell, params: Params, mark: str, report: Report, clock: Callable[[], float]
 ) -> None:
     """Learn and write; the record comes last, so that a policy killed halfway has none and is gone on with."""
     model = jax.tree.map(jnp.asarray, load_model(workspace.model(cell)))
     kind = ResidualSpot if isinstance(model, ResidualModel) else LearntSpot
-    environment = kind(cast(models.Model, model), box(transitions.load(workspace, "training").x), params.environment)
+    known, own = box(transitions.load(workspace, "training").x), params.policy
+    environment = kind(cast(models.Model, model), known, own.environment, params.episode_bounds)
     checkpoint = Checkpoint(workspace, cell, mark)
-    resumed, curve, before = checkpoint.load(environment, params)
+    resumed, curve, before = checkpoint.load(environment, own)
     start, keep = clock(), Curve(report, curve)
     learnt = learn.learn(
-        jax.random.key(cell.seed), environment, params.learning, params.sac, keep, resumed,
+        jax.random.key(cell.seed), environment, own.learning, own.sac, keep, resumed,
         lambda training: checkpoint.save(training, curve, before + clock() - start),
     )  # fmt: skip
-    limit = jnp.array(params.environment.command_limit)
+    limit = jnp.array(own.environment.command_limit)
     save_policy(workspace.policy(cell), Actor(learnt.layers, learnt.mean, learnt.std, limit))
     record = {
         **cell._asdict(),
@@ -140,7 +141,7 @@ class Checkpoint:
             remove_file(path, self._root)
 
 
-def log(workspace: Workspace, cell: Cell, params: PolicyParams, grid: Grid, tags: dict[str, str]) -> None:
+def log(workspace: Workspace, cell: Cell, params: Params, grid: Grid, tags: dict[str, str]) -> None:
     """A learnt policy as a run of the grid's: parameters, curve, data set, results, and the policy as a model."""
     record = read_json(workspace.policy_record(cell))
     config = configuration_of_policy(cell, params)

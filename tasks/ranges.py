@@ -151,7 +151,7 @@ RANGES: Mapping[str, Mapping[str, Any]] = {
     "radius": {"gt": 0, "le": 100, "description": "In y and z [m]."},
     "advance": {**_PLACE, "description": "Along x a turn [m]."},
     "turns": {"gt": 0, "le": 100, "description": "Of the helix."},
-    # follow.Bounds
+    # bounds.Bounds
     "shoulder": _PLACE,
     "reach": {"gt": 0, "le": 100},
     "clearance": {"ge": 0, "le": 100},
@@ -186,7 +186,9 @@ class Strict(BaseModel):
 
 
 def bounded(key: dataclasses.Field[Any]) -> Any:
-    """The type of a configuration's key with its range; KeyError where `RANGES` lacks the key."""
+    """The type of a configuration's key with its range; KeyError where `RANGES` lacks a number's key."""
+    if key.type is bool:
+        return Annotated[bool, Field(strict=True)]
     limits = {name: value for name, value in RANGES[key.name].items() if name != "description"}
     if get_origin(key.type) is not tuple:
         return Annotated[key.type, Field(**limits), NUMBER]

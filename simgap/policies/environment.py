@@ -12,13 +12,18 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from simgap.models import Model, predict
 from simgap.policies import reward
 from simgap.policies.actor import observation
+from simgap.policies.bounds import Bounds, on_course_for
 from simgap.recordings import HISTORY, decode_state, encode_state
 from simgap.simulators.spot import SCHEMA, from_body, to_body
 from simgap.types import ConfigError, Prediction
 
+STARTS = 8
+"""Starts that are drawn where not all are allowed, of which the first allowed one counts."""
+
 
 class Step(NamedTuple):
-    """What an action leads to; `lost`: the state left what the environment knows, and nothing is to be had there."""
+    """What an action leads to; `lost`: the state left what the environment knows or allows, and nothing is to be had
+    there."""
 
     state: Any
     reward: Float[Array, ""]
@@ -56,7 +61,7 @@ class Config:
     goal_distance: greatest distance along x and along y between the hand at the start and the goal [m]; goal_height:
     lowest and highest goal above the floor [m]. noise: the predictive noise is drawn, times this [-]; with 0 every
     particle is followed in its mean. escape: an episode is lost once the robot leaves the box of the recordings by this
-    factor [-].
+    factor [-]. stopped: whether it is also lost where a run on the robot would be stopped.
     """
 
     reward: reward.Config
@@ -66,6 +71,7 @@ class Config:
     goal_height: tuple[float, float]
     noise: float
     escape: float
+    stopped: bool
 
     def __post_init__(self) -> None:
         if len(self.command_limit) != len(SCHEMA.command) or min(self.command_limit) <= 0:
@@ -106,18 +112,20 @@ class Situation(NamedTuple):
     particle: Float[Array, ""]
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=("model", "box"), meta_fields=("config",))
+@partial(jax.tree_util.register_dataclass, data_fields=("model", "box"), meta_fields=("config", "bounds"))
 @dataclass(frozen=True)
 class LearntSpot:
     """A learnt model of the Spot, its hand to be brought to a goal.
 
     An episode begins uniformly in the box of the recordings, with a goal uniform about the hand. It follows one
-    particle, drawn for the episode: what the model does not know stays the same for as long.
+    particle, drawn for the episode: what the model does not know stays the same for as long. With `bounds`, it begins
+    within them, and is lost where the hand is on course beyond them.
     """
 
     model: Model
     box: Box
     config: Config
+    bounds: Bounds | None = None
 
     @property
     def action_size(self) -> int:
@@ -126,6 +134,13 @@ class LearntSpot:
 
     def reset(self, key: PRNGKeyArray) -> Situation:
         """See `Environment`."""
+        if self.bounds is None:
+            return self._drawn(key)
+        drawn = jax.vmap(self._drawn)(jax.random.split(key, STARTS))
+        first = jnp.argmax(jax.vmap(self._allowed)(drawn.state))
+        return jax.tree.map(lambda a: a[first], drawn)
+
+    def _drawn(self, key: PRNGKeyArray) -> Situation:
         b, far, (lowest, highest) = self.box, self.config.goal_distance, self.config.goal_height
         slow = self.config.start_motion
         share = jnp.concatenate([jnp.where(_VELOCITIES, slow, 1.0), jnp.full(HISTORY * 6, slow), jnp.ones(4)])
@@ -150,7 +165,7 @@ class LearntSpot:
         mean = prediction.mean[jnp.int32(state.particle * len(prediction.mean))]
         change = mean + self.config.noise * draw_noise(key, prediction)
         following = decode_state(SCHEMA, encoded + change)
-        lost = ~self._known(following)
+        lost = ~(self._known(following) & self._allowed(following))
         # A state that means nothing is not passed on: not a number times nothing is not nothing.
         kept = jnp.where(lost, state.state, following)
         past = jnp.concatenate([state.past[1:], command[None]])
@@ -161,6 +176,10 @@ class LearntSpot:
         low, high = self.box.state_low, self.box.state_high
         middle, half = (low + high) / 2, (high - low) / 2
         return jnp.all(jnp.abs(to_body(state) - middle) <= self.config.escape * jnp.maximum(half, 1e-3))
+
+    def _allowed(self, state: Float[Array, " 12"]) -> Bool[Array, ""]:
+        """Whether a run on the robot would go on."""
+        return jnp.array(True) if self.bounds is None else ~on_course_for(state, self.bounds).any()
 
 
 def draw_noise(key: PRNGKeyArray, prediction: Prediction) -> Float[Array, " y"]:

@@ -1,32 +1,15 @@
 """A policy on a robot, its hand to follow a reference [Hoffman et al. 2025, Shape Tracking]."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from simgap.policies.bounds import BEYOND, Bounds, on_course_for
 from simgap.recordings import HISTORY
-from simgap.simulators.spot import SCHEMA, rotation, to_body
+from simgap.simulators.spot import SCHEMA, rotation
 from simgap.types import Policy, Robot
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Where the hand may be, in the base's frame; a run that is about to leave it is stopped.
-
-    shoulder: its place, z above the floor [m]; reach: greatest distance of the hand from it [m]. clearance: least
-    height above the floor [m]. body_low, body_high: corners of the box that the body takes [m]. look_ahead: how far
-    ahead the hand's course is followed [s].
-    """
-
-    shoulder: tuple[float, float, float]
-    reach: float
-    clearance: float
-    body_low: tuple[float, float, float]
-    body_high: tuple[float, float, float]
-    look_ahead: float
 
 
 class Run(NamedTuple):
@@ -75,23 +58,9 @@ def mean_error(run: Run) -> float:
 
 
 def collision(state: Float[np.ndarray, " 12"], bounds: Bounds) -> str:
-    """What the hand is on course for: "body", "ground" or "reach"; empty for nothing.
-
-    Its course is a straight line in the base's frame, at its velocity relative to the base.
-    """
-    body = np.asarray(_to_body(state))
-    base_velocity, hand, velocity = body[3:6], body[6:9], body[9:]
-    carried = np.array([base_velocity[0], base_velocity[1], 0.0])
-    carried += np.array([-base_velocity[2] * hand[1], base_velocity[2] * hand[0], 0.0])
-    course = hand + (velocity - carried) * np.linspace(0.0, bounds.look_ahead, 5)[:, None]
-    inside = (course > np.array(bounds.body_low)) & (course < np.array(bounds.body_high))
-    if inside.all(axis=1).any():
-        return "body"
-    if (course[:, 2] < bounds.clearance).any():
-        return "ground"
-    if (np.linalg.norm(course - np.array(bounds.shoulder), axis=1) > bounds.reach).any():
-        return "reach"
-    return ""
+    """What the hand is on course for, one of `BEYOND`; empty for nothing."""
+    met = np.asarray(_on_course_for(state, bounds))
+    return BEYOND[int(met.argmax())] if met.any() else ""
 
 
 def _about(state: Float[np.ndarray, " 12"], reference: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
@@ -99,7 +68,7 @@ def _about(state: Float[np.ndarray, " 12"], reference: Float[np.ndarray, "T 3"])
     return state[6:9] + reference @ np.asarray(rotation(state[2])).T
 
 
-_to_body = jax.jit(to_body)
+_on_course_for = jax.jit(on_course_for, static_argnames="bounds")
 
 
 @jax.jit

@@ -117,9 +117,11 @@ def learn(
 
     `report(step, metrics)` tells environment steps, return and share of episodes lost after every evaluation;
     `keep(training)` is given all that is needed to go on from there, as `resumed`, to the same result. Raises
-    DivergenceError when weights or returns are not finite, or when every episode leaves what is known.
+    DivergenceError when weights or returns are not finite, or when every episode of two evaluations in a row is lost:
+    one alone may be of a policy that has learnt little.
     """
     training = init(key, environment, config, sac_config) if resumed is None else resumed
+    all_lost = False
     for k in range(evaluated(training), config.evaluations):
         if at_plateau([float(r) for r in training.returns[:k]], config):
             break
@@ -127,7 +129,8 @@ def learn(
         steps = config.prefill_steps * config.environments + (k + 1) * config.cycles_per_evaluation * config.cycle_steps
         told = {name: float(value) for name, value in metrics.items()}
         report(steps, told)
-        _check(steps, told)
+        _check(steps, told, all_lost)
+        all_lost = told["lost"] == 1.0
         keep(training)
     return Learnt(training.best, training.mean, training.std)
 
@@ -171,16 +174,18 @@ def at_plateau(returns: list[float], config: Config) -> bool:
     return last - before <= config.plateau_gain * (before - returns[0])
 
 
-def _check(steps: int, metrics: dict[str, float]) -> None:
+def _check(steps: int, metrics: dict[str, float], all_lost: bool) -> None:
+    """`all_lost`: whether every episode of the evaluation before was lost."""
     if not all(map(jnp.isfinite, metrics.values())):
         raise DivergenceError(
             f"the policy left the finite numbers before environment step {steps:,} ({metrics}). "
             "Lower policy.sac's learning rates or max_gradient_norm."
         )
-    if metrics["lost"] == 1.0:
+    if all_lost and metrics["lost"] == 1.0:
         raise DivergenceError(
-            f"every episode had left what the model knows at environment step {steps:,}: its rollouts explode. "
-            "Train the model on more transitions, or raise policy.environment.escape."
+            f"every episode of the last two evaluations was lost at environment step {steps:,}: the model's rollouts "
+            "explode, or nothing keeps the hand within track.bounds. Train the model on more transitions, raise "
+            "policy.environment.escape, or set policy.environment.stopped to false."
         )
 
 

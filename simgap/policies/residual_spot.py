@@ -14,7 +14,7 @@ from simgap.residual.model import predict
 from simgap.simulators.spot import SCHEMA
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=("model", "box"), meta_fields=("config",))
+@partial(jax.tree_util.register_dataclass, data_fields=("model", "box"), meta_fields=("config", "bounds"))
 @dataclass(frozen=True)
 class ResidualSpot(LearntSpot):
     """As `LearntSpot`, in a `ResidualModel`: an episode follows one particle, and every row draws its own duration."""

@@ -138,8 +138,8 @@ def _parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_no_number_may_be_absurd(file: str) -> None:
     """Every key refuses what is infinite, huge, of another kind or nested, and says which key it is."""
     values, load = yaml.safe_load((ROOT / file).read_text()), LOAD[file]
-    for path, _ in keys(file):
-        for absurd in ABSURD:
+    for path, value in keys(file):
+        for absurd in (a for a in ABSURD if not (isinstance(value, bool) and isinstance(a, bool))):
             with pytest.raises(ConfigError) as error:
                 load(ROOT / file, with_another(values, path, absurd))
             assert re.search(rf"^  {'.'.join(map(str, path))}(\.|:)", without_kinds(str(error.value)), re.M), (

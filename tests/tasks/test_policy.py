@@ -19,12 +19,12 @@ from simgap.types import ConfigError, SimgapError
 from tasks import policy, policy_pyfunc
 from tasks.files.models import load_policy, save_model, save_policy
 from tasks.fingerprint import POLICY, TRAINING, code_digest, modules_of, of_policy
-from tasks.params import PolicyParams, load_params
+from tasks.params import Params, load_params
 from tasks.workspace import Cell, Workspace
 
 ROOT = Path(__file__).parents[2]
-PARAMS = load_params(ROOT / "params.yaml").policy
-TINY = load_params(ROOT / "params.yaml", {"policy": POLICY_SIZES}).policy
+PARAMS = load_params(ROOT / "params.yaml")
+TINY = load_params(ROOT / "params.yaml", {"policy": POLICY_SIZES})
 CELL = Cell("student_t", "sim_model", 40, 0)
 
 
@@ -47,7 +47,7 @@ def workspace(tmp_path: Path) -> Workspace:
     return found
 
 
-def learn(workspace: Workspace, params: PolicyParams, report: Callable[[int, dict[str, float]], None]) -> None:
+def learn(workspace: Workspace, params: Params, report: Callable[[int, dict[str, float]], None]) -> None:
     policy._learn(workspace, CELL, params, of_policy(CELL, "m", "d", params, "c"), report, lambda: 0.0)
 
 
@@ -87,30 +87,36 @@ def test_a_checkpoint_of_other_parameters_is_not_gone_on_with(workspace: Workspa
     with pytest.raises(Killed):
         learn(workspace, TINY, killed_at(400))
     # Other ones that are no part of what is compiled.
-    other = TINY.model_copy(update={"learning": dataclasses.replace(TINY.learning, plateau_gain=0.5)})
+    other = load_params(ROOT / "params.yaml", {"policy": POLICY_SIZES}, {"policy": {"learning": {"plateau_gain": 0.5}}})
     steps: list[int] = []
     learn(workspace, other, lambda step, _: steps.append(step))
-    assert len(steps) == TINY.learning.evaluations
+    assert len(steps) == TINY.policy.learning.evaluations
 
 
 def test_fingerprints_change_with_what_a_policy_depends_on() -> None:
-    reward = dataclasses.replace(PARAMS.environment.reward, action_weight=0.2)
-    rewarded = PARAMS.model_copy(update={"environment": dataclasses.replace(PARAMS.environment, reward=reward)})
+    def changed(**policy: object) -> Params:
+        return load_params(ROOT / "params.yaml", {"policy": policy})
+
+    farther = {"track": {"bounds": {"reach": 1.5}}}
+    stopped = {"policy": {"environment": {"stopped": True}}}
     marks = [
         of_policy(CELL, "m", "d", PARAMS, "c"),
         of_policy(CELL._replace(seed=1), "m", "d", PARAMS, "c"),
         of_policy(CELL, "n", "d", PARAMS, "c"),
         of_policy(CELL, "m", "e", PARAMS, "c"),
-        of_policy(CELL, "m", "d", rewarded, "c"),
+        of_policy(CELL, "m", "d", changed(environment={"reward": {"action_weight": 0.2}}), "c"),
+        of_policy(CELL, "m", "d", load_params(ROOT / "params.yaml", stopped), "c"),
+        of_policy(CELL, "m", "d", load_params(ROOT / "params.yaml", stopped, farther), "c"),
         of_policy(CELL, "m", "d", PARAMS, "x"),
     ]
     assert len(set(marks)) == len(marks)
-    assert of_policy(CELL, "m", "d", PARAMS.model_copy(update={"workers": 9, "seeds": [5]}), "c") == marks[0]
+    for same in (changed(workers=9, seeds=[5]), load_params(ROOT / "params.yaml", farther)):
+        assert of_policy(CELL, "m", "d", same, "c") == marks[0]
 
 
 def test_code_of_policies_is_what_learning_them_imports() -> None:
     names = {path.stem for path in modules_of(POLICY)}
-    assert {"learn", "sac", "replay", "reward", "environment", "actor", "models", "spot"} <= names
+    assert {"learn", "sac", "replay", "reward", "environment", "bounds", "actor", "models", "spot"} <= names
     assert not names & {"follow", "references", "virtual_robot", "virtual_spot", "fsvgd"}
     assert not [p for p in modules_of(TRAINING) if p.parent.name == "policies"], "no model becomes stale by it"
     assert code_digest(POLICY) == code_digest(POLICY)
@@ -153,7 +159,7 @@ def test_what_the_grid_no_longer_has_is_removed_checkpoints_too(workspace: Works
 
 def test_the_projects_parameters_are_the_papers() -> None:
     """[Hoffman et al. 2025, Table 1]."""
-    learning, sac, reward = PARAMS.learning, PARAMS.sac, PARAMS.environment.reward
+    learning, sac, reward = PARAMS.policy.learning, PARAMS.policy.sac, PARAMS.policy.environment.reward
     assert (learning.environment_steps, learning.episode_length, learning.steps_between_updates) == (2_500_000, 120, 16)
     assert (learning.environments, learning.evaluation_environments, learning.evaluations) == (64, 128, 20)
     assert (learning.updates, learning.min_replay, learning.max_replay) == (1024, 2048, 50_000)

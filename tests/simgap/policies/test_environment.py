@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from tiny_policies import BOX, LIMIT, WHOLE, kinematic, spot
+from tiny_policies import BOUNDS, BOX, LIMIT, WHOLE, kinematic, spot
 
 from simgap.models import BNN, predict
 from simgap.networks import init
 from simgap.policies.actor import observation
 from simgap.policies.environment import LearntSpot, box, draw_noise
+from simgap.policies.follow import collision
 from simgap.policies.reward import reward
 from simgap.recordings import Normalisation, encode_state
 from simgap.simulators.spot import SCHEMA, rotation, step, to_body
@@ -71,6 +72,26 @@ def test_episodes_begin_in_the_box_of_the_recordings_with_goals_about_the_hand()
     distance = np.asarray(start.goal - start.state[:, 6:9])
     assert np.abs(distance[:, :2]).max() == pytest.approx(1.0, abs=0.01)
     assert (start.goal[:, 2].min(), start.goal[:, 2].max()) == pytest.approx((0.2, 1.0), abs=0.01)
+
+
+def test_within_bounds_an_episode_begins_there_and_is_lost_where_a_run_would_be_stopped() -> None:
+    keys = jax.random.split(jax.random.key(0), 1000)
+    near = BOX._replace(state_low=BOX.state_low.at[6].set(0.1))
+    free, bound = (LearntSpot(kinematic(), near, dataclasses.replace(QUIET, escape=1e6), b) for b in (None, BOUNDS))
+    stopped = [[bool(collision(np.asarray(s), BOUNDS)) for s in jax.vmap(e.reset)(keys).state] for e in (free, bound)]
+    assert np.mean(stopped[0]) > 0.1
+    assert not any(stopped[1])
+
+    begun = jax.vmap(bound.reset)(keys)
+    actions = jax.random.uniform(jax.random.key(1), (1000, 6), minval=-1.0)
+    lost = []
+    for env in (free, bound):
+        after = jax.vmap(env.step)(begun, actions, keys)
+        lost.append(np.asarray(after.lost))
+    follows = jax.vmap(free.step)(begun, actions, keys).state.state
+    assert not lost[0].any()
+    assert 0.01 < lost[1].mean() < 0.9
+    np.testing.assert_array_equal(lost[1], [bool(collision(np.asarray(s), BOUNDS)) for s in follows])
 
 
 def test_the_box_is_what_recordings_span_in_the_bases_frame() -> None:

@@ -8,7 +8,8 @@ from jaxtyping import Array
 from tiny_policies import LIMIT
 
 from simgap.policies import references
-from simgap.policies.follow import Bounds, Run, collision, follow, mean_error
+from simgap.policies.bounds import Bounds
+from simgap.policies.follow import Run, collision, follow, mean_error
 from simgap.policies.proportional import Proportional
 from simgap.robots.virtual_robot import VirtualRobot
 from simgap.robots.virtual_spot import VirtualSpotConfig

@@ -65,7 +65,7 @@ def test_interrupted_learning_goes_on_to_the_same_result() -> None:
 def test_a_model_that_explodes_raises_an_error_that_says_so() -> None:
     """A base that moves by 50 m a step leaves what is known at once."""
     model = kinematic()
-    message = "every episode had left what the model knows at environment step 320"
+    message = "every episode of the last two evaluations was lost at environment step 512"
     with pytest.raises(DivergenceError, match=message):
         learn.learn(jax.random.key(0), spot(model._replace(params=model.params.at[9].set(50.0))), LEARN, SAC, ignore)
 

@@ -11,8 +11,9 @@ from simgap.policies.environment import Box, Config, LearntSpot
 from simgap.simulators.spot import SCHEMA
 from tasks.params import load_params
 
-PARAMS = load_params(Path(__file__).parents[3] / "params.yaml", {"policy": POLICY_SIZES}).policy
-LEARN, SAC, ENVIRONMENT = PARAMS.learning, PARAMS.sac, PARAMS.environment
+_PARAMS = load_params(Path(__file__).parents[3] / "params.yaml", {"policy": POLICY_SIZES})
+LEARN, SAC, ENVIRONMENT = _PARAMS.policy.learning, _PARAMS.policy.sac, _PARAMS.policy.environment
+BOUNDS = _PARAMS.track.bounds
 WHOLE = dataclasses.replace(ENVIRONMENT, start_motion=1.0)
 """Episodes begin anywhere in the box."""
 LIMIT = ENVIRONMENT.command_limit
