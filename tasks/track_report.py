@@ -69,12 +69,13 @@ def notes(workspace: Workspace, cells: Sequence[Cell], params: PolicyParams) -> 
     steps = [record["steps"] for record in records]
     sizes = ", ".join(str(n) for n in sorted({cell.sample_size for cell in cells}))
     early = sum(len(record["curve"]["step"]) < learning.evaluations for record in records)
+    stopped = ", and where a run would be stopped" if params.environment.stopped else ""
     return [
         f"{len(cells)} policies: {len({cell.model for cell in cells})} models, N = {sizes}, seeds "
         f"{', '.join(str(seed) for seed in sorted({cell.seed for cell in cells}))}; models with {params.noise} noise. "
         f"Each learnt for at most {max(steps):,} environment steps (the paper: 2,500,000) at a learning rate "
         f"of {sac.learning_rate_policy:g} (the paper: 0.0001); {early} of them ended at a plateau of the return. "
-        f"An episode is lost beyond {params.environment.escape:g} times the recordings' box."
+        f"An episode is lost beyond {params.environment.escape:g} times the recordings' box{stopped}."
     ]
 
 
