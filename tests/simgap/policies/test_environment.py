@@ -84,14 +84,10 @@ def test_within_bounds_an_episode_begins_there_and_is_lost_where_a_run_would_be_
 
     begun = jax.vmap(bound.reset)(keys)
     actions = jax.random.uniform(jax.random.key(1), (1000, 6), minval=-1.0)
-    lost = []
-    for env in (free, bound):
-        after = jax.vmap(env.step)(begun, actions, keys)
-        lost.append(np.asarray(after.lost))
-    follows = jax.vmap(free.step)(begun, actions, keys).state.state
-    assert not lost[0].any()
-    assert 0.01 < lost[1].mean() < 0.9
-    np.testing.assert_array_equal(lost[1], [bool(collision(np.asarray(s), BOUNDS)) for s in follows])
+    unbound, after = (jax.vmap(env.step)(begun, actions, keys) for env in (free, bound))
+    assert not unbound.lost.any()
+    assert 0.01 < after.lost.mean() < 0.9
+    np.testing.assert_array_equal(after.lost, [bool(collision(np.asarray(s), BOUNDS)) for s in unbound.state.state])
 
 
 def test_the_box_is_what_recordings_span_in_the_bases_frame() -> None:
