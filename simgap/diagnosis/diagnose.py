@@ -24,6 +24,7 @@ from simgap.diagnosis.validation import black_box, replay, scores
 from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.behind import deflected
 from simgap.diagnosis.validation.forecast import Contestant
+from simgap.diagnosis.validation.ranges import needed_beyond_ranges
 from simgap.diagnosis.validation.scores import Judgement
 from simgap.diagnosis.validation.sensitivity import sensitivity
 from simgap.effects.augmented import Augmented
@@ -110,12 +111,13 @@ def _beyond_ranges(
     rng: np.random.Generator,
     report: Reporter,
 ) -> Explanation | None:
-    """The explanation when parameters may leave their ranges; None if none is at the end of its range.
+    """The explanation when parameters may leave their ranges.
 
-    A range that is too narrow looks like missing physics, so no claim may depend on it. An engine's ranges are wide and
-    need no such check.
+    None if no parameter is at the end of its range, or if all effects are needed even so. An engine's ranges are wide
+    and need no such check.
     """
-    if is_engine(simulator) or not found.anything or not at_bound(found.problem, found.base):
+    free = is_engine(simulator) or not found.anything or not at_bound(found.problem, found.base)
+    if free or needed_beyond_ranges(found):
         return None
     report(
         f"repeating the search without parameter ranges, since {', '.join(at_bound(found.problem, found.base))} ended "

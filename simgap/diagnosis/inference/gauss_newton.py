@@ -42,8 +42,8 @@ class Held(NamedTuple):
 def hold(fit: Fit, columns: Float[np.ndarray, "M n s"]) -> Held:
     """Hold derivatives, with their weights at a fit."""
     w = weights(fit.e, fit.noise).astype(np.float32)
-    outputs = np.moveaxis(columns, 2, 0)
-    return Held(columns, w, np.stack([(c * weight) @ c.T for c, weight in zip(outputs, w.T, strict=True)]))
+    scaled = np.ascontiguousarray((columns * np.sqrt(w)).transpose(2, 0, 1))
+    return Held(columns, w, scaled @ scaled.transpose(0, 2, 1))
 
 
 def gauss_newton(

@@ -6,15 +6,16 @@ import numpy as np
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, NEAR
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, optimise, refine
-from simgap.diagnosis.inference.model import Model, Reporter, Round, Trial, absorbing, settled
+from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, refine
+from simgap.diagnosis.inference.model import Model, Reporter, Round, Trial, absorbing
+from simgap.diagnosis.inference.multistart import converged
 from simgap.diagnosis.inference.null_distribution import short
 from simgap.diagnosis.inference.posterior import means_another
 from simgap.diagnosis.inference.relaxation import room
 from simgap.diagnosis.inference.score_test import screen, vary
 from simgap.diagnosis.inference.screening import Screened
 from simgap.diagnosis.likelihood.filter import Variables
-from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials, value_of
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.student_t import log_density
 from simgap.threads import THREADS, side_by_side
 
@@ -67,7 +68,8 @@ def one_more(
     others, tried = tried[FINALISTS:], []
     for batch in _at_once(sorted(finalists, key=lambda t: -t.promise)):
         best = max(t.gain for t in (*incumbent, *finalists, *tried))
-        tried += side_by_side(lambda t, best=best: _to_its_end(problem, t) if _contends(t, best) else t, batch)
+        tried += converged(problem, [t for t in batch if _contends(t, best)])
+        tried += [t for t in batch if not _contends(t, best)]
     judged = [allowance.judged(t) for t in (*tried, *others)]
     p_values = [screening.p_value_of_fit(t.hypothesis.name, t.beyond) for t in judged]
     if screening.p_value > LEVEL:  # then a fit has to pass by itself
@@ -103,23 +105,6 @@ def _extends_in_vain(t: Trial, tried: Sequence[Trial]) -> bool:
     effect = t.hypothesis.effect
     simpler = [o for o in tried if o.hypothesis.effect.id == effect.extends and o.hypothesis.effect is not effect]
     return any(t.evidence - LEAST_SHARE * t.gain < o.evidence for o in simpler)
-
-
-def _to_its_end(problem: Problem, t: Trial) -> Trial:
-    """Fit to convergence. An effect with basins is also fitted from every start beyond its current value.
-
-    These fits use derivatives at the start itself. The current derivatives do not lead on from there, nor do parameters
-    that were fitted in another basin.
-    """
-    converged = [t.further(lambda f: optimise(problem, f, settled(t.gain))[0])]
-    if t.hypothesis.effect.basins:
-        group = t.hypothesis.groups[0]
-        current = value_of(t.fit.v, group)
-        for start in (s for s in t.hypothesis.starts if s[0] > current):
-            initial = evaluate(problem, vary(t.without.v, t.hypothesis, start), t.fit.groups, t.without.noise)
-            if np.isfinite(initial.loglik):
-                converged.append(t.further(lambda _, initial=initial: optimise(problem, initial, settled(t.gain))[0]))
-    return max(converged, key=lambda end: end.gain)
 
 
 def promising(found: Sequence[Screened]) -> list[Screened]:

@@ -20,7 +20,7 @@ from simgap.diagnosis.likelihood.problem import Fit, Problem, trials, with_value
 from simgap.diagnosis.likelihood.student_t import weights
 from simgap.threads import side_by_side
 
-PART = 8
+PART = 32
 """Directions kept in memory at once."""
 PROMISING = 5
 """Hypotheses that are tested at further values."""
@@ -78,7 +78,7 @@ def screen(
     root = np.sqrt(w).reshape(-1)
     # At the optimum the residual is orthogonal to what the model absorbs, but for rounding in float32.
     residual = fit.e.reshape(-1) * root
-    residual = residual - basis @ (basis.T @ residual)
+    residual = (residual - basis @ (basis.T @ residual)).reshape(fit.e.shape)
     low, _ = problem.augmented.bounds
     starts = blocks(np.asarray(problem.chunks.counts))
 
@@ -89,8 +89,8 @@ def screen(
             change = trials(problem, vs) - fit.e
             d = change.reshape(len(part), -1) * root
             d = _beyond_twin(problem, fit, part, d, root)
-            d = d - (d @ basis) @ basis.T
-            score, power = (a.reshape(len(part), *fit.e.shape).sum(2) for a in (-d * residual, d * d))
+            d = (d - (d @ basis) @ basis.T).reshape(len(part), *fit.e.shape)
+            score, power = np.einsum("pns,ns->pn", d, -residual), np.einsum("pns,pns->pn", d, d)
             finite = np.isfinite(power.sum(1))
         return [(s, score[i], power[i]) for i, s in enumerate(part) if finite[i]]
 

@@ -19,8 +19,11 @@ from simgap.effects.augmented import Augmented
 from simgap.types import Parameter, Recording, Sessions
 
 
-def driven(params: tuple[float, float], seed: int = 0, sessions: int = 4, rows: int = 150) -> list[Recording]:
-    """Sessions of a drive with a mass [kg] and a damping [N s/m], under forces that change at random."""
+def driven(
+    params: tuple[float, float], seed: int = 0, sessions: int = 4, rows: int = 150, friction: float = 0.0
+) -> list[Recording]:
+    """Sessions of a drive with a mass [kg], a damping [N s/m] and a dry friction [N], under forces that change at
+    random."""
     rng, drive = np.random.default_rng(seed), Drive()
     h, (mass, damping) = drive.time_step, params
     k = h * damping / (2 * mass)
@@ -30,7 +33,8 @@ def driven(params: tuple[float, float], seed: int = 0, sessions: int = 4, rows: 
         state = np.zeros((rows, 2))
         for t in range(rows - 1):
             p, v = state[t]
-            then = ((1 - k) * v + h * force[t] / mass) / (1 + k) + rng.normal(0, 0.004)
+            then = ((1 - k) * v + h * force[t] / mass) / (1 + k)
+            then = np.sign(then) * max(abs(then) - h * friction / mass, 0.0) + rng.normal(0, 0.004)
             state[t + 1] = p + h * (v + then) / 2, then
         seen = state + rng.normal(0, [0.001, 0.004], state.shape)
         recordings.append(Recording(f"s{s}", np.arange(rows) * h, seen, force[:, None]))
@@ -93,6 +97,8 @@ def test_a_diagnosis_says_which_parameter_is_at_the_edge_of_its_range() -> None:
         "mass is at the edge of its range (1.9 kg): widen the range if larger values are plausible."
         in statement["notes"]
     )
+    assert statement["verdict"] == "inconclusive"
+    assert parameters["beyond"] == {"mass": pytest.approx(2.5, rel=0.02)}
 
 
 class Known(Drive):
