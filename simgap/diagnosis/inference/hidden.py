@@ -19,6 +19,7 @@ from simgap.diagnosis.likelihood.filter import Variables, gain_matrix
 from simgap.diagnosis.likelihood.problem import Problem, start
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
 from simgap.engines import Engine, Term
+from simgap.threads import side_by_side
 
 PHI, GAIN, SIZE = 0.01, 0.01, 0.03
 """Difference steps of a parameter (a logarithm), of the filter's gain, and of the logarithm of the rival's constant.
@@ -84,9 +85,13 @@ class Search(NamedTuple):
     unit: Float[np.ndarray, "s+h o"]
     full: bool = False
 
+    def innovations(self, at: Point) -> Float[np.ndarray, "n o"]:
+        """Those of the rival at a point."""
+        return innovations(self.problem, self.engine, self.given, at.phi, at.gain, np.array([np.exp(at.size)]))
+
     def fit(self, at: Point) -> State:
         """The rival at a point, with its noise."""
-        e = innovations(self.problem, self.engine, self.given, at.phi, at.gain, np.array([np.exp(at.size)]))
+        e = self.innovations(at)
         if not np.isfinite(e).all():
             return State(self.engine, at, e, Noise(np.ones(e.shape[1]), np.ones(e.shape[1])), -np.inf)
         noise = fit_noise(e)
@@ -135,7 +140,7 @@ class Search(NamedTuple):
     def step(self, state: State) -> State:
         """One Gauss-Newton step."""
         h = self.steps(state.at)
-        ends = [self.fit(self.moved(state.at, row)).e for row in np.diag(h)]
+        ends = side_by_side(lambda row: self.innovations(self.moved(state.at, row)), np.diag(h))
         columns = np.stack([(e - state.e) / width for e, width in zip(ends, h, strict=True)])
         columns = np.where(np.isfinite(columns).all((1, 2), keepdims=True), columns, 0.0)
         w = weights(state.e, state.noise)
@@ -189,7 +194,7 @@ def _best_start(search: Search, v: Variables, gain: Float[np.ndarray, "s+h o"]) 
     """The likeliest of the sizes at which a search starts; also with the parameters of the simulator, since those in v
     may make up for what the rival explains."""
     sizes = np.log(search.engine.terms[-1].starts).tolist()
-    states = [search.fit(Point(np.asarray(v.phi, float), gain, size)) for size in sizes]
+    states = side_by_side(lambda size: search.fit(Point(np.asarray(v.phi, float), gain, size)), sizes)
     state = max(states, key=lambda s: s.loglik)
     nominal = np.asarray(search.problem.augmented.nominal, float)
     return max(state, search.fit(state.at._replace(phi=nominal)), key=lambda s: s.loglik)
