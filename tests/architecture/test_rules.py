@@ -147,9 +147,10 @@ def test_both_pipelines_are_the_same_but_for_the_source() -> None:
     assert ours == spots
 
 
-def test_a_stage_depends_on_the_code_it_runs() -> None:
+@pytest.mark.parametrize(("pipeline", "stage"), [("dvc.yaml", "train"), ("pipelines/diagnosed/dvc.yaml", "sweep")])
+def test_a_stage_depends_on_the_code_it_runs(pipeline: str, stage: str) -> None:
     """Every module of simgap and tasks that train imports for its numbers is a dependency of the DVC stage."""
-    deps = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]["train"]["deps"]
+    deps = yaml.safe_load((ROOT / pipeline).read_text())["stages"][stage]["deps"]
     from tasks.fingerprint import AUGMENTED, DIAGNOSIS, modules_of
 
     for path in modules_of((*AUGMENTED, *DIAGNOSIS)):

@@ -145,8 +145,15 @@ def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
     ]
 
 
-def test_the_external_machines_pipeline_is_complete(run: Callable[..., str]) -> None:
-    stages = run("dvc", "stage", "list", "pipelines/external/dvc.yaml")
-    assert [line.split()[0] for line in stages.splitlines()] == ["pipelines/external/dvc.yaml:external"]
-    stages = run("dvc", "stage", "list", "pipelines/ground/dvc.yaml")
-    assert [line.split()[0] for line in stages.splitlines()] == ["pipelines/ground/dvc.yaml:ground"]
+@pytest.mark.parametrize(
+    ("listed", "stage"),
+    [
+        (("list", "pipelines/external/dvc.yaml"), "external"),
+        (("list", "pipelines/ground/dvc.yaml"), "ground"),
+        (("list", "pipelines/diagnosed/dvc.yaml"), "sweep"),
+    ],
+    ids=["external", "ground", "diagnosed"],
+)
+def test_pipelines_of_a_single_stage_are_complete(run: Callable[..., str], listed: tuple[str, str], stage: str) -> None:
+    stages = run("dvc", "stage", *listed)
+    assert [line.split()[0] for line in stages.splitlines()] == [f"{listed[1]}:{stage}"]
