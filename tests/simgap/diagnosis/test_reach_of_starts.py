@@ -1,15 +1,15 @@
 """Laws that are no multiple of their constant are looked for over all of its range."""
 
+from types import ModuleType
+
 import numpy as np
 import pytest
 from test_numerics import known, optimised, posed
 from test_ranges import driven
 
 from examples.drive import Drive
-from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.gauss_newton import optimise
+from simgap.diagnosis.inference import gauss_newton, multistart, posterior
 from simgap.diagnosis.inference.model import Trial, settled
-from simgap.diagnosis.inference.multistart import converged
 from simgap.diagnosis.inference.one_more import one_more
 from simgap.diagnosis.inference.score_test import vary
 from simgap.diagnosis.likelihood.problem import evaluate
@@ -53,13 +53,23 @@ def test_an_old_measurement_is_recovered_within_its_interval(rows: float) -> Non
     assert high - low < Drive().time_step
 
 
+def counted(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> list[int]:
+    """One entry for each set of derivatives that a module asks for from now on."""
+    sets: list[int] = []
+    whole = module.nuisance_columns
+    monkeypatch.setattr(module, "nuisance_columns", lambda *given: sets.append(1) or whole(*given))
+    return sets
+
+
 @pytest.mark.parametrize("rows", [0.7, 2.2, 3.5])
-def test_fits_that_join_a_better_one_lose_nothing(rows: float) -> None:
+def test_fits_that_join_a_better_one_lose_nothing(rows: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Next to fits that all go on to the end, from every start alone."""
     problem, fit, _ = optimised(posed(Drive(), late(driven((2.5, 5.0)), rows)))
     delay = known(problem, "sensor_delay on cart velocity")
     begun = [evaluate(problem, vary(fit.v, delay, start), delay.groups, fit.noise) for start in delay.starts]
-    ends = [optimise(problem, f)[0].loglik for f in begun if np.isfinite(f.loglik)]
-    (end,) = converged(problem, [Trial.of(delay, begun[0], fit)])
+    alone, together = counted(monkeypatch, gauss_newton), counted(monkeypatch, multistart)
+    ends = [gauss_newton.optimise(problem, f)[0].loglik for f in begun if np.isfinite(f.loglik)]
+    (end,) = multistart.converged(problem, [Trial.of(delay, begun[0], fit)])
     assert max(ends) - min(ends) > 50 or rows < 1  # starts that lead elsewhere, without which this would test nothing
     assert end.fit.loglik > max(ends) - settled(max(ends) - fit.loglik)
+    assert 0 < len(together) < len(alone)
