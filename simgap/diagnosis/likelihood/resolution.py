@@ -14,6 +14,8 @@ from simgap.types import Recording, Sessions
 
 ON_GRID, EXACT = 0.99, 0.01
 """Minimum share of the differences between rows that are multiples of a step, and how exactly, in steps."""
+ROUNDING = float(np.finfo(np.float32).eps)
+"""Steps below this share of the largest reading are rounding in 32 bits, in which filters run and many logs come."""
 SIZES = 2
 """Minimum number of different multiples: a constant speed in a recording without noise is no step."""
 
@@ -21,7 +23,9 @@ SIZES = 2
 def resolution(recordings: Sequence[Recording]) -> Float[np.ndarray, " s"]:
     """Step of every column of the state; zero for one that does not come in steps."""
     differences = np.concatenate([np.abs(np.diff(r.state.astype(np.float64), axis=0)) for r in recordings])
-    return np.array([_step(d) for d in differences.T])
+    largest = np.max([np.abs(r.state).max(0, initial=0.0) for r in recordings], axis=0)
+    steps = np.array([_step(d) for d in differences.T])
+    return np.where(steps > ROUNDING * largest, steps, 0.0)
 
 
 def _step(differences: Float[np.ndarray, " n"]) -> float:

@@ -96,7 +96,7 @@ def rounds_of(found: Explanation) -> list[dict[str, Any]]:
 
 def untested_of(found: Explanation) -> list[str]:
     """Hypotheses that no round could test: the simulator does not stay finite with them."""
-    return list(found.rounds[0].screening.untested)
+    return list(dict.fromkeys(found.rounds[0].screening.untested))  # once for all supports
 
 
 def notes_of(found: Explanation, sessions: Sessions) -> list[str]:

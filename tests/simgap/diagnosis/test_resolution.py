@@ -37,6 +37,12 @@ def test_what_does_not_come_in_steps_has_none(seed: int) -> None:
     assert not resolution([recording(noisy, exact, np.zeros(ROWS), steady)]).any()
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100.0))
+def test_rounding_in_32_bits_is_no_step(seed: int, size: float) -> None:
+    read = size * (1 + 3e-7 * np.random.default_rng(seed).normal(size=ROWS))
+    assert not resolution([recording(read.astype(np.float32))]).any()
+
+
 def test_rows_at_rest_have_the_noise_of_a_step_and_others_are_as_they_were() -> None:
     """Without it the noise at rest is zero, and a model that never moves is infinitely likely."""
     step, rng = 0.01, np.random.default_rng(0)
