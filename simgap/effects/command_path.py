@@ -46,18 +46,16 @@ def _delay_in_parts(c: Float[Array, "1 u"], u: Float[Array, "parts u"], memory: 
     mean leads to too great a position, by the first moment of the command about the middle of the part. So the moment
     is subtracted in this part and added in the next.
     """
-    parts = len(u)
+    parts, ago = len(u), np.arange(1, HISTORY_ROWS + 1)[:, None, None]
     # Starts with the last part of the previous row, whose moment is added in the first part of this row.
     begins = np.arange(-1, parts)[:, None] / parts - c[0]
     ends, middle = begins + 1 / parts, begins + 0.5 / parts
-    mean, moment = u[0] + jnp.zeros_like(begins), jnp.zeros_like(begins)
-    for k, older in enumerate(memory.commands, 1):
-        # Share of the part in which the command of k rows ago acts. The oldest known one acted at all earlier times.
-        first = jnp.maximum(begins, -k) if k < len(memory.commands) else begins
-        last = jnp.maximum(jnp.minimum(ends, 1 - k), first)
-        share = parts * (last - first)
-        mean = mean + share * (older - u[0])
-        moment = moment + parts * share * ((first + last) / 2 - middle) * (older - u[0])
+    # Share of each part in which each command acts. The oldest known one acted at all earlier times.
+    first = jnp.maximum(begins, np.where(ago < HISTORY_ROWS, -ago, -np.inf))
+    last = jnp.maximum(jnp.minimum(ends, 1 - ago), first)
+    share, older = parts * (last - first), (memory.commands - u[0])[:, None]
+    mean = u[0] + (share * older).sum(0)
+    moment = (parts * share * ((first + last) / 2 - middle) * older).sum(0)
     return (mean - moment)[1:] + moment[:-1]
 
 

@@ -132,11 +132,11 @@ def _filtered(
     """A filter's new memory and the command that acts; part by part where a row has several."""
     if u.ndim == 1:
         return law((law.effect.rest(u), u), u, z, fading, 1.0)
-    acting = []
-    for part in u:
-        z, there = law((z, part), part, z, fading, 1 / len(u))
-        acting.append(there)
-    return z, jnp.stack(acting)
+
+    def part(z: Float[Array, "... u"], sent: Float[Array, " u"]) -> tuple[Float[Array, "... u"], Float[Array, " u"]]:
+        return law((z, sent), sent, z, fading, 1 / len(u))
+
+    return jax.lax.scan(part, z, u)
 
 
 def advance(
