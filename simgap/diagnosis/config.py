@@ -6,26 +6,25 @@ NEAR = 0.2
 """The same of a screening of short recordings after which the best hypotheses are fitted: their fits may pass where
 derivatives do not. In long ones the derivatives see enough, and such fits have passed by chance."""
 LEAST_SHARE = 0.03
-"""A further effect must gain this share of what the accepted effects gained in the same outputs: smaller gains may only
-reflect misfit of their laws."""
+"""A further effect must gain this share of what the accepted effects gained in the same outputs, and an alternative
+this share of the effect chosen at the same time: smaller gains may only reflect misfit of laws."""
 DISCREPANCY = 1.0
 """Share of its contribution by which a law may be wrong: that much is not credited to further effects."""
 MOST_EFFECTS = 4
-"""Maximum number of different effects: a longer search would fit the misfit of the laws found."""
+"""Maximum number of different effects, and of terms of a nonparametric law: a longer search would fit the misfit of
+those found."""
 MOST_SUPPORTS = 3
 """Maximum number of supports (regimes, onsets, windows); each costs a whole search."""
 MOST_SITES = 6
 """Maximum number of steps of a search: an effect takes one for each of its sites and constants."""
-RIVAL = 0.03
-"""Minimum expected gain of an alternative, as a share of that of the effect chosen at the same time."""
 LIKELY = 0.3
 """Minimum probability of a name: each of three equally likely ones still has it, if the cause is surely among them."""
 KNOWN = 0.5
 """Minimum probability, calibrated on machines drawn at random, that the cause is among the names of an effect for it to
 be named: below, it is likelier that it has no name."""
 EXPLAINED = 0.5
-"""Minimum share of what there is to explain that an effect, or all of them together, must explain: below it, something
-unnamed explains more."""
+"""Minimum share of what there is to explain that an effect, or all of them together, must explain, and of its gain with
+an engine's tables that it must also have with the engine itself: below it, something unnamed explains more."""
 BLOCK = 20
 """Rows per block; scores of rows in the same block are treated as dependent."""
 LEAST_BLOCK = 4
@@ -58,12 +57,11 @@ CLEARLY = 1.1
 """Factor on the gain of a push: another law in the same window must gain more than that, plus `REQUIRED`."""
 EXCEPTION = 3.0
 """Factor on the gain of the best other window that a push must reach: what recurs is something else."""
-CONFIRMED = 0.5
-"""Share of an effect's gain with an engine's tables that it must also have with the engine itself."""
 AT_BOUND = 1e-3
 """Distance from a bound, as a share of the range, below which a value counts as being at that bound."""
 REQUIRED_OF_NOISE = 10.0
-"""Minimum gain [nats] of an effect on the noise, which has two or three constants."""
+"""Minimum gain [nats] of an effect on the noise, which has two or three constants, and of predicting innovations from
+earlier ones, beyond the gain by chance."""
 SURE_OF_NOISE = 3.5
 """Standard deviations, over blocks of rows, by which the gain of an effect on all rows' noise must exceed zero."""
 SET_ASIDE = 3
@@ -74,12 +72,8 @@ STRONGER = 1.5
 """Factor on the largest amplitude in a baseline that an oscillation must exceed to be new."""
 PREDICTABLE = 0.02
 """Predictable shares of an output's squared innovations below this count as zero."""
-REQUIRED_OF_PREDICTION = 10.0
-"""Minimum gain [nats] of predicting innovations from earlier ones, beyond the gain by chance."""
 TOUCHED = 0.05
 """An effect improves an output if it gains more than this share of its total gain there."""
-MOST_TERMS = 4
-"""Maximum number of terms of a nonparametric law."""
 MOST_ROWS = 0.6
 """Maximum share of the rows in a regime that is reported as the place of a mismatch."""
 STANDS_OUT = 0.25

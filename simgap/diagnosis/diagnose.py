@@ -116,13 +116,10 @@ def _beyond_ranges(
     None if no parameter is at the end of its range, or if all effects are needed even so. An engine's ranges are wide
     and need no such check.
     """
-    free = is_engine(simulator) or not found.anything or not at_bound(found.problem, found.base)
-    if free or needed_beyond_ranges(found):
+    bound = {} if is_engine(simulator) or not found.anything else at_bound(found.problem, found.base)
+    if not bound or needed_beyond_ranges(found):
         return None
-    report(
-        f"repeating the search without parameter ranges, since {', '.join(at_bound(found.problem, found.base))} ended "
-        "at a bound"
-    )
+    report(f"repeating the search without parameter ranges, since {', '.join(bound)} ended at a bound")
     return explain(simulator, sessions, rng, report, ranges_hold=False)
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from simgap.diagnosis.config import LEAST_SHARE, RIVAL
+from simgap.diagnosis.config import LEAST_SHARE
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.gauss_newton import optimise
 from simgap.diagnosis.inference.model import (
@@ -87,11 +87,12 @@ def defend(
 
 
 def _rivals(hypothesis: Hypothesis, screening: Screening, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The hypothesis, and those whose expected gain was at least `RIVAL` of its own when it was chosen."""
+    """The hypothesis, and those whose expected gain was at least `LEAST_SHARE` of its own when it was chosen."""
     gains: dict[str, float] = {}
     for s in screening.found:
         gains[s.hypothesis.name] = max(s.gain, gains.get(s.hypothesis.name, 0.0))
-    near = {name for name, gain in gains.items() if gain >= RIVAL * gains.get(hypothesis.name, 0.0)} - {hypothesis.name}
+    least = LEAST_SHARE * gains.get(hypothesis.name, 0.0)
+    near = {name for name, gain in gains.items() if gain >= least and name != hypothesis.name}
     return [c for c in hypotheses if c is hypothesis or c.name in near]
 
 

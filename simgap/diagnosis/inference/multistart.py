@@ -14,8 +14,8 @@ from simgap.threads import side_by_side
 
 SAME_BASIN = 1 / 3
 """A fit whose constant has come this close to that of a better fit, as a share of the distance at first, leads to the
-same maximum. Fits from neighbouring starts of delays, lags and resonances mostly do after one or two sets of
-derivatives, and would need four to six to get there."""
+same maximum. Fits from neighbouring starts of delays and resonances mostly do after one or two sets of derivatives, and
+would need four to six to get there."""
 
 
 class _Climb(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.config import LEVEL, MOST_TERMS
+from simgap.diagnosis.config import LEVEL, MOST_EFFECTS
 from simgap.diagnosis.hypotheses.library import Function, dictionary, quantities, values
 from simgap.diagnosis.inference.heldout import agrees, by_row
 from simgap.diagnosis.inference.impulse_response import Echo, direction, echoes, evidence, hear
@@ -82,7 +82,7 @@ def nonparametric_law(model: Model, unseen: Chunks, rng: np.random.Generator, re
     functions = dictionary(quantities(model.problem.augmented.layout), rows.z[np.asarray(model.problem.chunks.counts)])
     law, chosen, heldout_rows = no_law(model, unseen), [], None
     pushable = rows.echoes and functions  # a simulator may declare no body
-    while pushable and len(chosen) < MOST_TERMS:
+    while pushable and len(chosen) < MOST_EFFECTS:
         part, p_value, required = _best_term(rows, model.fit, functions, chosen, rng)
         report(f"nonparametric law: p = {p_value:.4f}")
         if p_value > LEVEL:

@@ -5,7 +5,7 @@ A simulator whose step is a JAX function and whose states are all measured needs
 
 import numpy as np
 
-from simgap.diagnosis.config import CONFIRMED
+from simgap.diagnosis.config import EXPLAINED
 from simgap.diagnosis.inference.behind_joints import behind_joints
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
@@ -70,7 +70,7 @@ def confirmed(found: Explanation, report: Reporter) -> Explanation:
     engine, noise = itself(found.problem), found.fit.noise
     loglik = evaluate(engine, found.fit.v, (), noise).loglik
     gains = [loglik - evaluate(engine, m.without.v, (), noise).loglik for m in found.members]
-    unconfirmed = [m for m, gain in zip(found.members, gains, strict=True) if not gain >= CONFIRMED * m.gain]
+    unconfirmed = [m for m, gain in zip(found.members, gains, strict=True) if not gain >= EXPLAINED * m.gain]
     if not unconfirmed:
         return found
     for m in unconfirmed:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from simgap.diagnosis.config import PREDICTABLE, REQUIRED_OF_PREDICTION, TOUCHED
+from simgap.diagnosis.config import PREDICTABLE, REQUIRED_OF_NOISE, TOUCHED
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import log_density
@@ -43,7 +43,7 @@ def whiteness(problem: Problem, fit: Fit) -> Whiteness:
     chance = max(_gained(drawn, _predicted(drawn, session))[0].max() for drawn in signs * y)
     predicted = _predicted(y, session)
     nats, share = _gained(y, predicted)
-    sure = (share > PREDICTABLE) & (nats > max(chance, 0.0) + REQUIRED_OF_PREDICTION)
+    sure = (share > PREDICTABLE) & (nats > max(chance, 0.0) + REQUIRED_OF_NOISE)
     return Whiteness(*(np.where(sure, a, 0.0) for a in (nats, share, predicted * fit.noise.scale)))
 
 
