@@ -53,6 +53,7 @@ def _drawn(case: Case) -> dict[str, Any]:
         "kind": case.kind,
         "families": verdicts.SEPARATOR.join(case.families),
         "tails": case.tails,
+        "rows": sum(len(r.time_s) for r in case.sessions.fitted),
         "strength": round(case.strength, 1),
     }
 

@@ -12,9 +12,10 @@ from simgap.ground.machines import MACHINES, Machine
 from simgap.ground.names import names_of
 from simgap.types import Recording, Sessions
 
-USUAL, BRIEF = (6, 210), (2, 60)
-"""Sessions of a case and rows of each, usually and where little was recorded: equal shapes are compiled once."""
-SHARE_BRIEF = 0.15
+USUAL, BRIEF, LONG = (6, 210), (2, 60), (6, 900)
+"""Sessions of a case and rows of each, usually, where little and where much was recorded: equal shapes are compiled
+once."""
+SHARE_BRIEF, SHARE_LONG = 0.15, 0.5
 FITTED = 2 / 3
 """Of the sessions; the others are held out."""
 FINER = 10
@@ -77,7 +78,7 @@ def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]
     params = _parameters(machine, rng)
     rate = _rate(machine, params)
     drawn = int(rng.integers(2**32))
-    count, rows = BRIEF if rng.random() < SHARE_BRIEF else USUAL
+    count, rows = _shape(rng)
     share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
     clean, shaken = [], np.zeros(len(machine.velocities))
     for session in range(count):
@@ -99,6 +100,12 @@ def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]
     sessions = Sessions(recordings[:fitted], recordings[fitted:])
     strength = _strength(machine, clean[:fitted], scale, np.hypot(scale, machine.of_velocities(shaken)))
     return Case(number, machine, kind, families, tails, sessions, strength)
+
+
+def _shape(rng: np.random.Generator) -> tuple[int, int]:
+    """Sessions and rows of each."""
+    place = rng.random()
+    return BRIEF if place < SHARE_BRIEF else LONG if place > 1 - SHARE_LONG else USUAL
 
 
 def _strength(
