@@ -72,12 +72,13 @@ def start(
 def launch(folder: Path, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
     """A command in a folder that holds its parameters, its MLflow store and what is printed.
 
-    A process group of its own: killed with SIGKILL, a run leaves what it started.
+    A process group of its own: killed with SIGKILL, a run leaves what it started. Not a session of its own: Linux
+    shares the processor among sessions, whatever the priority of their processes.
     """
     environment = {**environment, "PYTHONPATH": str(ROOT)}
     with (folder / "output.txt").open("wb") as output:
         return subprocess.Popen([sys.executable, "-m", *command], cwd=folder, env=environment, stdout=output,
-                                stderr=subprocess.STDOUT, start_new_session=True)  # fmt: skip
+                                stderr=subprocess.STDOUT, process_group=0)  # fmt: skip
 
 
 def prepare(workspace: Workspace, params: Params) -> None:
