@@ -1,14 +1,16 @@
 """The probability that the cause is among the names of an effect, fitted to the table of the training ground.
 
-A logistic regression on the indicators of every effect found. It is judged on families of causes that are held out.
+A logistic regression on the indicators of every effect found. It is judged on families of causes that are held out, and
+on whole draws that are: nobody's machine is drawn like the ground's.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 from sklearn.pipeline import Pipeline, make_pipeline
@@ -16,43 +18,108 @@ from sklearn.preprocessing import StandardScaler
 
 from simgap.diagnosis.validation.calibration import within
 from simgap.diagnosis.validation.indicators import Indicators
+from simgap.effects.augmented import Augmented
 from simgap.formats.documents import write_json
+from simgap.ground.machines import MACHINES
 from tasks import plots
-from tasks.verdicts import SEPARATOR
+from tasks.ground import MEASURED
+from tasks.verdicts import FAILED, SEPARATOR
 
 FIT = Path("reports/ground/calibration.json")
 PICTURE = Path("reports/ground/calibration.png")
 LEAST = 100
 """Effects found: with fewer there is nothing to fit."""
-PENALTIES = (0.01, 0.1, 1.0, 10.0)
-"""Inverse strengths of the ridge penalty on standardised indicators; the held-out families choose one."""
+DRAWS = (500, 800, 1100, 1500)
+"""First cases of the later draws; each draw has other machines, laws or lengths than those before."""
+PENALTIES = (0.001, 0.003, 0.01, 0.03, 0.1, 1.0)
+"""Inverse strengths of the ridge penalty on standardised indicators; held-out families and draws choose one."""
+PRIOR = 2.0
+"""Wrong findings of an effect that are added at the usual rate, since few were counted."""
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
 """Of the bins in which stated and observed shares are compared."""
 NOTHING = "nothing"
 
 
 class Found(NamedTuple):
-    """Effects found on the ground. families: of their cases' causes. right: whether a cause is among their names."""
+    """What was found in each of c cases, n effects in all.
 
+    numbers, machines, families: of the cases, and of their causes. case: of every effect, its place among the cases.
+    right: whether a cause is among its names.
+    """
+
+    numbers: Int[np.ndarray, " c"]
+    machines: list[str]
     families: list[tuple[str, ...]]
-    indicators: Float[np.ndarray, "n i"]
+    case: Int[np.ndarray, " n"]
+    effects: list[str]
+    measured: Float[np.ndarray, "n i"]
     right: Bool[np.ndarray, " n"]
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, str]]) -> "Found":
         """From rows of the table of runs; of several versions of a case the last one counts."""
-        families, indicators, right = [], [], []
-        for row in {row["case"]: row for row in rows}.values():
-            columns = [row[name].split(SEPARATOR) if row[name] else [] for name in ("right", *Indicators._fields)]
-            for mark, *values in zip(*columns, strict=True):
-                families.append(tuple(row["families"].split(SEPARATOR)) if row["families"] else (NOTHING,))
-                indicators.append(within(Indicators(*map(float, values))))
-                right.append(mark == "1")
-        return cls(families, np.array(indicators).reshape(-1, len(Indicators._fields)), np.array(right, bool))
+        cases = [row for row in {row["case"]: row for row in rows}.values() if row["outcome"] != FAILED]
+        found = [(c, *cells) for c, row in enumerate(cases) for cells in _cells(row)]
+        return cls(
+            np.array([int(row["case"]) for row in cases], int),
+            [row["machine"] for row in cases],
+            [tuple(row["families"].split(SEPARATOR)) if row["families"] else (NOTHING,) for row in cases],
+            np.array([c for c, *_ in found], int),
+            [effect for _, effect, *_ in found],
+            np.array([values for *_, values in found], float).reshape(-1, len(MEASURED)),
+            np.array([mark == "1" for _, _, mark, _ in found], bool),
+        )
 
-    def of_family(self, name: str) -> Bool[np.ndarray, " n"]:
-        """Which of them are of cases with that cause."""
-        return np.array([name in names for names in self.families], bool)
+    def of_families(self) -> list[Bool[np.ndarray, " c"]]:
+        """For every family of causes, the cases that have it."""
+        names = {name for names in self.families for name in names}
+        return [np.array([name in names for names in self.families], bool) for name in sorted(names)]
+
+    @property
+    def draw(self) -> Int[np.ndarray, " c"]:
+        """The draw of every case."""
+        return np.digitize(self.numbers, DRAWS)
+
+    def of_draws(self) -> list[Bool[np.ndarray, " c"]]:
+        """For every draw, its cases."""
+        return [self.draw == k for k in np.unique(self.draw)]
+
+    def mistaken(self, among: Bool[np.ndarray, " c"]) -> tuple[dict[str, float], float]:
+        """Wrong findings of every effect per hundred of these cases whose machines may have it, and the usual rate.
+
+        Counted from the draw on in which it was first found: before, the vocabulary may have lacked it.
+        """
+        wrong, possible = dict.fromkeys(sorted(set(self.effects)), 0), {}
+        for c, effect, right in zip(self.case, self.effects, self.right, strict=True):
+            wrong[effect] += int(among[c] and not right)
+        for name in wrong:
+            since = self.draw[self.case[[effect == name for effect in self.effects]]].min()
+            counts = among & (self.draw >= since)
+            possible[name] = sum(name in _possible(self.machines[c]) for c in np.flatnonzero(counts))
+        usual = (sum(wrong.values()) + 1) / (sum(possible.values()) + 1)
+        rates = {name: 100 * (wrong[name] + PRIOR) / (possible[name] + PRIOR / usual) for name in wrong}
+        return rates, 100 * usual
+
+    def indicators(self, among: Bool[np.ndarray, " c"]) -> Float[np.ndarray, "n i+1"]:
+        """Those of every effect within their ranges, by wrong findings in these cases."""
+        rates, _ = self.mistaken(among)
+        return np.array([
+            within(Indicators(*values, mistaken=float(np.log(rates[effect]))))
+            for values, effect in zip(self.measured.tolist(), self.effects, strict=True)
+        ]).reshape(-1, len(Indicators._fields))  # fmt: skip
+
+
+def _cells(row: Mapping[str, str]) -> list[tuple[str, str, list[float]]]:
+    """Name, mark and measured indicators of every effect in a row of the table."""
+    columns = [row[name].split(SEPARATOR) if row[name] else [] for name in ("found", "right", *MEASURED)]
+    return [(effect, mark, [*map(float, values)]) for effect, mark, *values in zip(*columns, strict=True)]
+
+
+@cache
+def _possible(machine: str) -> frozenset[str]:
+    """The effects that a machine of the ground may have."""
+    augmented = Augmented(next(m for m in MACHINES if m.name == machine))
+    return frozenset(e.id for e, sites in zip(augmented.catalogue, augmented.sites, strict=True) if sites)
 
 
 def calibrate(rows: Sequence[Mapping[str, str]], root: Path) -> str:
@@ -60,17 +127,24 @@ def calibrate(rows: Sequence[Mapping[str, str]], root: Path) -> str:
     found = Found.of(rows)
     if len(found.right) < LEAST:
         return f"{len(found.right)} effects were found: too few to fit their probability to (at least {LEAST})."
-    penalty = min(PENALTIES, key=lambda c: log_loss(found.right, _held_out(found, c)))
-    stated = _held_out(found, penalty)
-    whole = _model(penalty).fit(found.indicators, found.right)
+    parts = found.of_families(), found.of_draws()
+    held_out = {c: [_held_out(found, part, c) for part in parts] for c in PENALTIES}
+    loss = {c: [float(log_loss(found.right, p)) for p in held_out[c]] for c in PENALTIES}
+    penalty = min(PENALTIES, key=lambda c: sum(loss[c]))
+    stated, _ = held_out[penalty]
+    everything = np.ones(len(found.numbers), bool)
+    whole = _model(penalty).fit(found.indicators(everything), found.right)
     scale, regression = whole.named_steps["standardscaler"], whole.named_steps["logisticregression"]
     weights = regression.coef_[0] / scale.scale_
     bins = list(_bins(stated, found.right))
+    rates, usual = found.mistaken(everything)
     content = {
         "intercept": float(regression.intercept_[0] - weights @ scale.mean_),
         "weights": dict(zip(Indicators._fields, weights.tolist(), strict=True)),
+        "mistaken_per_hundred": rates, "usually_mistaken": usual,
         "effects": len(stated), "right": float(found.right.mean()), "penalty": penalty,
-        "log_loss_of_families_held_out": float(log_loss(found.right, stated)),
+        "log_loss_of_families_held_out": loss[penalty][0],
+        "log_loss_of_draws_held_out": loss[penalty][1],
         "log_loss_of_the_share_alone": float(log_loss(found.right, np.full(len(stated), found.right.mean()))),
         "calibration_error": sum(b["effects"] * abs(b["stated"] - b["right"]) for b in bins) / len(stated),
         "bins": bins,
@@ -87,14 +161,19 @@ def _model(penalty: float) -> Pipeline:
     return make_pipeline(StandardScaler(), LogisticRegression(C=penalty, max_iter=1000))
 
 
-def _held_out(found: Found, penalty: float) -> Float[np.ndarray, " n"]:
-    """The probability of every effect, fitted to the effects of cases without its family; of two families, the mean."""
+def _held_out(found: Found, parts: Sequence[Bool[np.ndarray, " c"]], penalty: float) -> Float[np.ndarray, " n"]:
+    """The probability of every effect, fitted to the cases without its part; the mean for an effect of several parts.
+
+    With a single part there is nothing to hold out: the probability fitted to all.
+    """
     stated, folds = np.zeros(len(found.right)), np.zeros(len(found.right))
-    for name in {name for names in found.families for name in names}:
-        test = found.of_family(name)
-        model = _model(penalty).fit(found.indicators[~test], found.right[~test])
-        stated[test] += model.predict_proba(found.indicators[test])[:, 1]
-        folds[test] += 1
+    for part in parts:
+        test, kept = part[found.case], ~part if len(parts) > 1 else part
+        train, indicators = kept[found.case], found.indicators(kept)
+        if test.any() and len(np.unique(found.right[train])) == 2:
+            model = _model(penalty).fit(indicators[train], found.right[train])
+            stated[test] += model.predict_proba(indicators[test])[:, 1]
+            folds[test] += 1
     return stated / folds
 
 

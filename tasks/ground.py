@@ -18,6 +18,8 @@ from tasks import verdicts
 from tasks.processes import one_process
 
 RUNS = Path("reports/ground/runs.csv")
+MEASURED = tuple(name for name in Indicators._fields if name != "mistaken")
+"""Indicators that are kept: how often an effect is mistaken is counted in the whole table."""
 Job = Callable[[str, int], AbstractContextManager[Report]]
 Keep = Callable[[Mapping[str, Any]], None]
 
@@ -64,6 +66,6 @@ def _found(causes: Sequence[Collection[str]], statement: Mapping[str, Any]) -> d
     columns = {
         "found": [e["id"] for e in effects],
         "right": [str(int(verdicts.is_right(causes, e))) for e in effects],
-        **{name: [f"{e['indicators'][name]:.4g}" for e in effects] for name in Indicators._fields},
+        **{name: [f"{e['indicators'][name]:.4g}" for e in effects] for name in MEASURED},
     }
     return {name: verdicts.SEPARATOR.join(parts) for name, parts in columns.items()}

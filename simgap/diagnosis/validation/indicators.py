@@ -7,6 +7,7 @@ import numpy as np
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.whiteness import touched
 from simgap.diagnosis.validation import scores
+from simgap.diagnosis.validation.mistaken import mistaken
 from simgap.diagnosis.validation.scores import Judged, Judgement
 
 TINY = 1e-3
@@ -22,7 +23,7 @@ class Indicators(NamedTuple):
     next_row, far: ln of the error with the effect over the one without, on held-out sessions and in the outputs it
     improves, after one row and after the most rows. nameless: share of what there is to explain in these outputs that
     is left, as predictable residuals or a law without a name. rivals: ln of the number of names compared, its own among
-    them: these come near.
+    them: these come near. mistaken: how often such an effect is found where it is not the cause (see `mistaken`).
     """
 
     gain: float
@@ -34,6 +35,7 @@ class Indicators(NamedTuple):
     far: float
     nameless: float
     rivals: float
+    mistaken: float
 
 
 def indicators(found: Explanation, judged: Judgement, i: int, heldout_gain: float) -> Indicators:
@@ -53,6 +55,7 @@ def indicators(found: Explanation, judged: Judgement, i: int, heldout_gain: floa
         far=_error(pair, -1, outputs),
         nameless=1.0 - found.named_share(m),
         rivals=float(np.log(len(m.odds))),
+        mistaken=mistaken(m.hypothesis.effect.id),
     )
 
 

@@ -12,12 +12,13 @@ from simgap.diagnosis.config import KNOWN
 from simgap.diagnosis.validation.adequacy import Verdict, is_likely
 from simgap.diagnosis.validation.calibration import TERMS, probability, within
 from simgap.diagnosis.validation.indicators import Indicators
+from simgap.diagnosis.validation.mistaken import PER_HUNDRED, USUAL, mistaken
 
 PLAIN = Indicators(
     gain=np.log(300), lesser=0, misfit=np.log(2), bending=0, heldout=1, next_row=np.log(0.8), far=np.log(0.3),
-    nameless=0, rivals=np.log(3),
+    nameless=0, rivals=np.log(3), mistaken=mistaken("lag"),
 )  # fmt: skip
-"""An effect that explains all there is to explain."""
+"""A lag that explains all there is to explain."""
 
 indicators = st.tuples(*[st.floats(-1e6, 1e6)] * len(Indicators._fields)).map(lambda values: Indicators(*values))
 
@@ -30,7 +31,7 @@ def test_what_explains_all_there_is_has_its_name() -> None:
     "against",
     [
         {"misfit": np.log(450), "bending": 0.6, "nameless": 0.5},
-        {"gain": np.log(20), "lesser": np.log(100), "far": 0.0, "next_row": 0.0},
+        {"gain": np.log(20), "lesser": np.log(100), "far": 0.0, "next_row": 0.0, "mistaken": mistaken("gain")},
         {"gain": np.log(20), "far": np.log(1.003), "next_row": 0.0, "nameless": 0.7},
     ],
     ids=[
@@ -59,7 +60,13 @@ def test_it_is_a_probability_and_beyond_experience_that_at_its_end(of: Indicator
     assert p == probability(within(of))
 
 
-@pytest.mark.parametrize("name", ["lesser", "misfit", "far", "nameless", "rivals"])
+def test_what_scales_the_simulator_is_mistaken_more_often_than_a_limit() -> None:
+    assert mistaken("asymmetric_gain") > mistaken("sensor_scale") > mistaken("saturation") > mistaken("rate_limit")
+    assert mistaken("gravity_sag") == np.log(USUAL)
+    assert all(TERMS["mistaken"].low <= mistaken(name) <= TERMS["mistaken"].high for name in PER_HUNDRED)
+
+
+@pytest.mark.parametrize("name", ["lesser", "misfit", "far", "nameless", "rivals", "mistaken"])
 def test_what_speaks_against_a_name_makes_it_less_likely(name: str) -> None:
     assert probability(PLAIN._replace(**{name: TERMS[name].high})) < probability(PLAIN)
 
