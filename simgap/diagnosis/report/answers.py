@@ -27,11 +27,11 @@ def credible_set(odds: Mapping[str, float]) -> list[str]:
     return credible
 
 
-def alternatives_of(found: Explanation, known: Sequence[float]) -> list[dict[str, Any]]:
-    """Other sets of effects: one effect is replaced by an alternative. known: as in `Verdict`."""
+def alternatives_of(found: Explanation, known: Sequence[float], noise_known: float) -> list[dict[str, Any]]:
+    """Other sets of effects: one effect is replaced by an alternative. known, noise_known: as in `Verdict`."""
     members = zip(found.members, known or [1.0] * len(found.members), strict=True)
     odds = [(m.hypothesis.effect.id, {effect: k * p for effect, p in m.odds.items()}) for m, k in members]
-    odds += [(s.id, s.odds) for s in found.noise_effects]
+    odds += [(s.id, {effect: noise_known * p for effect, p in s.odds.items()}) for s in found.noise_effects]
     ids = [effect for effect, _ in odds]
     return [
         {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}

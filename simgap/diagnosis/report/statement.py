@@ -75,7 +75,7 @@ def statement(
     effects = [_effect(found, i, concluded, sessions.fitted) for i, named in enumerate(concluded.named) if named]
     effects += hidden_effects(found) if verdict == "missing_physics" else []
     closest = [_effect(found, i, concluded, sessions.fitted) for i in _closest(found, concluded)]
-    noise_effects = [_noise_effect(s) for s in found.noise_effects]
+    noise_effects = [_noise_effect(s, concluded.noise_known) for s in found.noise_effects]
     if concluded.noise_named:
         effects += noise_effects
     else:
@@ -92,7 +92,7 @@ def statement(
         "located": located(found, sessions.fitted, verdict, outcome.black_box, whiteness),
         "effects": effects, "more_missing": concluded.something_else, "found": _found(found, concluded),
         "closest_matches": closest, "whiteness": _whiteness(found, whiteness), "nonparametric": _law(found),
-        "alternatives": alternatives_of(found, concluded.known),
+        "alternatives": alternatives_of(found, concluded.known, concluded.noise_known),
         "experiment": plan and {"statement": wording.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
         "parameters": parameters_of(found) | {"moved": concluded.parameters_moved, "beyond": beyond_of(outcome.beyond)},
@@ -154,9 +154,10 @@ def _law(found: Explanation) -> list[dict[str, Any]]:
     return [{"axis": t.axis, "depends_on": list(t.depends_on), "gain_nats": t.gain} for t in found.law.terms]
 
 
-def _noise_effect(s: NoiseEffect) -> dict[str, Any]:
+def _noise_effect(s: NoiseEffect, known: float) -> dict[str, Any]:
     return {
-        "id": s.id, **SCATTERED, "probability": s.odds[s.id], "channels": [], "outputs": list(s.outputs),
+        "id": s.id, **SCATTERED, "probability": known * s.odds[s.id], "outside": 1.0 - known,
+        "channels": [], "outputs": list(s.outputs),
         "statement": s.statement, "constants": s.constants, "credible_set": credible_set(s.odds), "gain_nats": s.gain,
         "misfit_nats": 0.0, "heldout_gain_nats": s.heldout_gain, "support": NO_LIMITS | {"kind": "always"},
     }  # fmt: skip

@@ -46,6 +46,11 @@ class Verdict(NamedTuple):
         """Whether effects on the noise are named: not while physics is missing that may scatter the rows instead."""
         return self.verdict == "missing_physics" and not self.something_else
 
+    @property
+    def noise_known(self) -> float:
+        """Probability that no other physics scatters the rows: if a name is wrong, what it stands in for may do so."""
+        return min((p for p, named in zip(self.known, self.named, strict=False) if named), default=1.0)
+
 
 def conclude(
     found: Explanation, judged: Judgement, seen: Sensitivity, beyond: Explanation | None, rng: np.random.Generator

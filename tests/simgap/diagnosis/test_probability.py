@@ -78,3 +78,15 @@ def test_what_speaks_against_a_name_makes_it_less_likely(name: str) -> None:
 def test_while_physics_is_missing_the_noise_has_no_name(verdict: str, more: bool, named: bool) -> None:
     """What is missing may scatter the rows: on the training ground all sure names that were wrong were of the noise."""
     assert Verdict(verdict, (), (), more, None, (), {}, False).noise_named == named
+
+
+@pytest.mark.parametrize(
+    ("named", "known", "expected"),
+    [((), (), 1.0), ((True,), (0.6,), 0.6), ((True, False, True), (0.9, 0.2, 0.7), 0.7), ((False,), (), 1.0)],
+)
+def test_the_noise_is_no_surer_than_the_physics_that_is_named(
+    named: tuple[bool, ...], known: tuple[float, ...], expected: float
+) -> None:
+    """If that is something else, it may scatter the rows."""
+    of = Verdict("missing_physics", named, named, False, None, (), {}, False, known=known)
+    assert of.noise_known == expected
