@@ -16,6 +16,7 @@ USUAL, BRIEF, LONG = (6, 210), (2, 60), (6, 900)
 """Sessions of a case and rows of each, usually, where little and where much was recorded: equal shapes are compiled
 once."""
 SHARE_BRIEF, SHARE_LONG = 0.15, 0.5
+"""Shares of the cases."""
 FITTED = 2 / 3
 """Of the sessions; the others are held out."""
 FINER = 10
