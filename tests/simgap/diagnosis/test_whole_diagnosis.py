@@ -53,7 +53,7 @@ def test_a_planted_delay_is_told() -> None:
 def test_a_planted_delay_is_credible_and_nothing_else_is() -> None:
     (effect,) = delayed().statement["effects"]
     assert effect["credible_set"] == ["delay"]
-    assert effect["probability"] > 0.8  # what looks like a delay is one in four of five machines drawn at random
+    assert effect["probability"] > 0.8  # on machines drawn at random 79 % of the delays found are delays
     assert effect["outside"] == pytest.approx(1 - effect["probability"], abs=0.01)
     assert effect["gain_nats"] > 100
     assert effect["heldout_gain_nats"] > 30
