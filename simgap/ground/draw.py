@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from simgap.ground.commands import drawn_commands
 from simgap.ground.families import FAMILIES
 from simgap.ground.laws import Law, Uneven
 from simgap.ground.machines import MACHINES, Machine
@@ -88,7 +89,8 @@ def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]
                 for i, (f, s) in enumerate(zip(families, sizes, strict=True))]  # fmt: skip
         for law in laws:
             law.begin(np.random.default_rng([drawn, len(laws), session]))
-        command, shakes = _commands(machine, rng, rows), rng.standard_normal((WARM + rows, len(shaken)))
+        command = drawn_commands(len(machine.schema.command), rng, WARM + rows)
+        shakes = rng.standard_normal((WARM + rows, len(shaken)))
         if session == 0 and share:
             calm = _simulated(machine, params, [], command, shakes * 0)
             # `take` keeps rows together: a sum in another order is another case.
@@ -157,28 +159,6 @@ def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
     position, velocity = rest[machine.positions], rest[machine.velocities]
     at = [np.array(machine.acceleration(np, params, position, velocity, u)) for u in (command, 0 * command)]
     return float(np.abs(at[0] - at[1]).max())
-
-
-def _commands(machine: Machine, rng: np.random.Generator, rows: int) -> Float[np.ndarray, "T u"]:
-    """Steps, waves or slow noise for every channel. rows: those that are recorded, after `WARM` others."""
-    rows += WARM
-    t = np.arange(rows)
-    columns = []
-    for _ in machine.schema.command:
-        manner = rng.integers(3)
-        if manner == 0:
-            lasts = rng.integers(8, 30)
-            columns.append(np.repeat(rng.uniform(-1.2, 1.2, rows // lasts + 1), lasts)[:rows])
-        elif manner == 1:
-            periods, phases = np.exp(rng.uniform(np.log(8), np.log(120), 3)), rng.uniform(0, 2 * np.pi, 3)
-            columns.append(0.7 * np.sin(2 * np.pi * t[:, None] / periods + phases).sum(1))
-        else:
-            kept = np.exp(-1 / rng.uniform(5, 30))
-            wander = np.zeros(rows)
-            for k in range(1, rows):
-                wander[k] = kept * wander[k - 1] + np.sqrt(1 - kept**2) * rng.standard_normal()
-            columns.append(0.8 * wander)
-    return np.stack(columns, axis=1)
 
 
 class _Clean(NamedTuple):

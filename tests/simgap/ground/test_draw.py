@@ -8,6 +8,7 @@ import pytest
 
 from simgap.effects.augmented import Augmented
 from simgap.ground import draw as ground
+from simgap.ground.commands import drawn_commands
 from simgap.ground.draw import draw
 from simgap.ground.families import ALL, FAMILIES, READ, STAYING
 from simgap.ground.laws import Push, Static, Uneven
@@ -25,6 +26,11 @@ BY_NAME = {m.name: m for m in MACHINES}
 def middle(machine: Machine) -> np.ndarray:
     """Parameters in the middle of their ranges."""
     return np.array([(p.low + p.high) / 2 for p in machine.parameters])
+
+
+def commanded(machine: Machine, rng: np.random.Generator) -> np.ndarray:
+    """Commands of a session."""
+    return drawn_commands(len(machine.schema.command), rng, ground.WARM + ROWS)
 
 
 def still(machine: Machine) -> np.ndarray:
@@ -69,7 +75,7 @@ def test_the_simulator_and_the_machine_differ_by_less_than_any_noise(machine: Ma
     """Without laws and noise, a row of the simulator is a row of the machine."""
     rng = np.random.default_rng(0)
     params = np.array([(p.low + 2 * p.high) / 3 for p in machine.parameters])
-    clean = ground._simulated(machine, params, [], ground._commands(machine, rng, ROWS), still(machine))
+    clean = ground._simulated(machine, params, [], commanded(machine, rng), still(machine))
     predicted = np.asarray(jax.vmap(lambda s, u: machine.step(params, s, u))(clean.state[:-1], clean.command[:-1]))
     change = np.std(np.diff(clean.state, axis=0), 0)
     off = np.sqrt(np.mean((predicted - clean.state[1:]) ** 2, 0))
@@ -78,7 +84,7 @@ def test_the_simulator_and_the_machine_differ_by_less_than_any_noise(machine: Ma
 
 def test_shakes_change_the_velocities_and_are_none_of_the_laws() -> None:
     machine = MACHINES[0]
-    command, shakes = ground._commands(machine, np.random.default_rng(1), ROWS), still(machine)
+    command, shakes = commanded(machine, np.random.default_rng(1)), still(machine)
     shakes[-2] = 0.1
     calm, shaken = (ground._simulated(machine, middle(machine), [], command, s) for s in (0 * shakes, shakes))
     np.testing.assert_allclose(shaken.state[-1] - calm.state[-1], [0, 0.1], atol=1e-12)
@@ -89,7 +95,7 @@ def test_shakes_change_the_velocities_and_are_none_of_the_laws() -> None:
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_law_changes_what_the_machine_does_or_shows_and_more_with_its_size(name: str) -> None:
     machine = BY_NAME[FAMILIES[name].machines[0]]
-    command = ground._commands(machine, np.random.default_rng(1), ROWS)
+    command = commanded(machine, np.random.default_rng(1))
 
     def change(size: float) -> float:
         law = FAMILIES[name].draw(np.random.default_rng(2), size, machine.time_step, 5.0)
@@ -144,7 +150,7 @@ def test_a_misread_speed_is_recorded_and_moves_nothing() -> None:
 
 
 def test_a_body_that_is_not_recorded_moves_as_if_it_were() -> None:
-    command = ground._commands(PAIR, np.random.default_rng(1), ROWS)
+    command = commanded(PAIR, np.random.default_rng(1))
     both, left = (ground._simulated(m, middle(PAIR), [], command, still(m)).state for m in (PAIR, PAIR_LEFT))
     np.testing.assert_array_equal(both[:, [*PAIR.positions, *PAIR.velocities]],
                                   left[:, [*PAIR_LEFT.positions, *PAIR_LEFT.velocities]])  # fmt: skip
@@ -156,7 +162,7 @@ def test_a_body_that_is_not_recorded_moves_as_if_it_were() -> None:
 
 def test_a_friction_of_the_body_that_is_not_recorded_shows_in_the_other() -> None:
     rubs = Push(lambda q, v, u: np.array([0.0, -2.0]) * np.tanh(v / 0.01))  # noqa: ARG005
-    command = ground._commands(PAIR_LEFT, np.random.default_rng(1), ROWS)
+    command = commanded(PAIR_LEFT, np.random.default_rng(1))
     rubbed, free = (
         ground._simulated(PAIR_LEFT, middle(PAIR_LEFT), laws, command, still(PAIR_LEFT)) for laws in ([rubs], [])
     )
@@ -190,7 +196,7 @@ def test_the_drift_of_a_response_is_within_the_vocabulary() -> None:
 
 
 def test_a_servo_that_is_commanded_too_much_is_one_whose_sensors_show_too_much() -> None:
-    command = ground._commands(SERVO, np.random.default_rng(1), ROWS)
+    command = commanded(SERVO, np.random.default_rng(1))
     plain, more = (
         ground._simulated(SERVO, middle(SERVO), [Static(lambda u, g=g: g * u)], command, still(SERVO)).state
         for g in (1.0, 1.3)
