@@ -1,6 +1,6 @@
-"""Parts of the statement that need no verdict: parameters, alternatives, rounds, notes."""
+"""Parts of the statement: parameters, alternatives, rounds, notes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.report.names import title
 from simgap.diagnosis.validation import scores
+from simgap.diagnosis.validation.adequacy import Verdict
 from simgap.diagnosis.validation.sensitivity import Sensitivity
 from simgap.types import Sessions
 
@@ -27,11 +28,11 @@ def credible_set(odds: Mapping[str, float]) -> list[str]:
     return credible
 
 
-def alternatives_of(found: Explanation, known: Sequence[float], noise_known: float) -> list[dict[str, Any]]:
-    """Other sets of effects: one effect is replaced by an alternative. known, noise_known: as in `Verdict`."""
-    members = zip(found.members, known or [1.0] * len(found.members), strict=True)
+def alternatives_of(found: Explanation, concluded: Verdict) -> list[dict[str, Any]]:
+    """Other sets of effects: one effect is replaced by an alternative."""
+    members = zip(found.members, concluded.known or [1.0] * len(found.members), strict=True)
     odds = [(m.hypothesis.effect.id, {effect: k * p for effect, p in m.odds.items()}) for m, k in members]
-    odds += [(s.id, {effect: noise_known * p for effect, p in s.odds.items()}) for s in found.noise_effects]
+    odds += [(s.id, {e: concluded.noise_known(s) * p for e, p in s.odds.items()}) for s in found.noise_effects]
     ids = [effect for effect, _ in odds]
     return [
         {"effects": [*ids[:i], other, *ids[i + 1 :]], "probability": p}

@@ -75,7 +75,7 @@ def statement(
     effects = [_effect(found, i, concluded, sessions.fitted) for i, named in enumerate(concluded.named) if named]
     effects += hidden_effects(found) if verdict == "missing_physics" else []
     closest = [_effect(found, i, concluded, sessions.fitted) for i in _closest(found, concluded)]
-    noise_effects = [_noise_effect(s, concluded.noise_known) for s in found.noise_effects]
+    noise_effects = [_noise_effect(s, concluded.noise_known(s)) for s in found.noise_effects]
     if concluded.noise_named:
         effects += noise_effects
     else:
@@ -92,7 +92,7 @@ def statement(
         "located": located(found, sessions.fitted, verdict, outcome.black_box, whiteness),
         "effects": effects, "more_missing": concluded.something_else, "found": _found(found, concluded),
         "closest_matches": closest, "whiteness": _whiteness(found, whiteness), "nonparametric": _law(found),
-        "alternatives": alternatives_of(found, concluded.known, concluded.noise_known),
+        "alternatives": alternatives_of(found, concluded),
         "experiment": plan and {"statement": wording.experiment(plan.experiment, plan.separates),
                                 "commands": "experiment.csv", "separates": list(plan.separates)},
         "parameters": parameters_of(found) | {"moved": concluded.parameters_moved, "beyond": beyond_of(outcome.beyond)},

@@ -8,6 +8,7 @@ from simgap.diagnosis.config import EXPLAINED, KNOWN, LIKELY
 from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.heldout import gain
+from simgap.diagnosis.inference.noise_effect import NoiseEffect, Spectrum
 from simgap.diagnosis.inference.posterior import deviations_for, differs_from_zero
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation import scores
@@ -46,10 +47,11 @@ class Verdict(NamedTuple):
         """Whether effects on the noise are named: not while physics is missing that may scatter the rows instead."""
         return self.verdict == "missing_physics" and not self.something_else
 
-    @property
-    def noise_known(self) -> float:
-        """Probability that no other physics scatters the rows: if a name is wrong, what it stands in for may do so."""
-        return min((p for p, named in zip(self.known, self.named, strict=False) if named), default=1.0)
+    def noise_known(self, effect: NoiseEffect) -> float:
+        """Probability that an effect on the noise is no other physics: if a name is wrong, what it stands in for may
+        scatter the rows. It hardly makes a line in a spectrum."""
+        sure = (p for p, named in zip(self.known, self.named, strict=False) if named)
+        return 1.0 if isinstance(effect.shown, Spectrum) else min(sure, default=1.0)
 
 
 def conclude(

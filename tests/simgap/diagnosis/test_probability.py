@@ -1,7 +1,7 @@
 """The probability that the cause is among the names of an effect, from what speaks for and against it."""
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simgap.diagnosis.config import KNOWN
+from simgap.diagnosis.inference.noise_effect import NoiseEffect, Spectrum
 from simgap.diagnosis.validation.adequacy import Verdict, is_likely
 from simgap.diagnosis.validation.calibration import TERMS, probability, within
 from simgap.diagnosis.validation.indicators import Indicators
 from simgap.diagnosis.validation.mistaken import PER_HUNDRED, USUAL, mistaken
+from simgap.types import Field
 
 PLAIN = Indicators(
     gain=np.log(300), lesser=0, misfit=np.log(2), bending=0, heldout=1, next_row=np.log(0.8), far=np.log(0.3),
@@ -87,6 +89,9 @@ def test_while_physics_is_missing_the_noise_has_no_name(verdict: str, more: bool
 def test_the_noise_is_no_surer_than_the_physics_that_is_named(
     named: tuple[bool, ...], known: tuple[float, ...], expected: float
 ) -> None:
-    """If that is something else, it may scatter the rows."""
+    """If that is something else, it may scatter the rows; a line in their spectrum is not made so."""
     of = Verdict("missing_physics", named, named, False, None, (), {}, False, known=known)
-    assert of.noise_known == expected
+    spectrum = Spectrum(np.ones(9), 1.0, 3, 1, 0.1, Field("x", "m", "position", "world", "base", "x"))
+    scatter, line = (cast(NoiseEffect, SimpleNamespace(shown=shown)) for shown in (None, spectrum))
+    assert of.noise_known(scatter) == expected
+    assert of.noise_known(line) == 1.0
