@@ -93,9 +93,9 @@ class Found(NamedTuple):
         wrong, possible = dict.fromkeys(sorted(set(self.effects)), 0), {}
         for c, effect, right in zip(self.case, self.effects, self.right, strict=True):
             wrong[effect] += int(among[c] and not right)
+        draw, effects = self.draw, np.array(self.effects)
         for name in wrong:
-            since = self.draw[self.case[[effect == name for effect in self.effects]]].min()
-            counts = among & (self.draw >= since)
+            counts = among & (draw >= draw[self.case[effects == name]].min())
             possible[name] = sum(name in _possible(self.machines[c]) for c in np.flatnonzero(counts))
         usual = (sum(wrong.values()) + 1) / (sum(possible.values()) + 1)
         rates = {name: 100 * (wrong[name] + PRIOR) / (possible[name] + PRIOR / usual) for name in wrong}
@@ -128,8 +128,8 @@ def calibrate(rows: Sequence[Mapping[str, str]], root: Path) -> str:
     found = Found.of(rows)
     if len(found.right) < LEAST:
         return f"{len(found.right)} effects were found: too few to fit their probability to (at least {LEAST})."
-    parts = found.of_families(), found.of_draws()
-    held_out = {c: [_held_out(found, part, c) for part in parts] for c in PENALTIES}
+    folds = [_folds(found, parts) for parts in (found.of_families(), found.of_draws())]
+    held_out = {c: [_held_out(found, fold, c) for fold in folds] for c in PENALTIES}
     loss = {c: [float(log_loss(found.right, p)) for p in held_out[c]] for c in PENALTIES}
     penalty = min(PENALTIES, key=lambda c: sum(loss[c]))
     stated, _ = held_out[penalty]
@@ -162,20 +162,28 @@ def _model(penalty: float) -> Pipeline:
     return make_pipeline(StandardScaler(), LogisticRegression(C=penalty, max_iter=1000))
 
 
-def _held_out(found: Found, parts: Sequence[Bool[np.ndarray, " c"]], penalty: float) -> Float[np.ndarray, " n"]:
-    """The probability of every effect, fitted to the cases without its part; the mean for an effect of several parts.
+class _Fold(NamedTuple):
+    """Effects of a part that is held out, those of all other cases, and indicators by wrong findings in these."""
 
-    With a single part there is nothing to hold out: the probability fitted to all.
-    """
-    stated, folds = np.zeros(len(found.right)), np.zeros(len(found.right))
-    for part in parts:
-        test, kept = part[found.case], ~part if len(parts) > 1 else part
-        train, indicators = kept[found.case], found.indicators(kept)
-        if test.any() and len(np.unique(found.right[train])) == 2:
-            model = _model(penalty).fit(indicators[train], found.right[train])
-            stated[test] += model.predict_proba(indicators[test])[:, 1]
-            folds[test] += 1
-    return stated / folds
+    test: Bool[np.ndarray, " n"]
+    train: Bool[np.ndarray, " n"]
+    indicators: Float[np.ndarray, "n i"]
+
+
+def _folds(found: Found, parts: Sequence[Bool[np.ndarray, " c"]]) -> list[_Fold]:
+    """A fold for every part in which something was found. A single part is not held out: all train."""
+    kept = [(part, ~part if len(parts) > 1 else part) for part in parts if part[found.case].any()]
+    return [_Fold(part[found.case], others[found.case], found.indicators(others)) for part, others in kept]
+
+
+def _held_out(found: Found, folds: Sequence[_Fold], penalty: float) -> Float[np.ndarray, " n"]:
+    """The probability of every effect, fitted to the cases without its part; of several parts, the mean."""
+    stated, times = np.zeros(len(found.right)), np.zeros(len(found.right))
+    for test, train, indicators in folds:
+        model = _model(penalty).fit(indicators[train], found.right[train])
+        stated[test] += model.predict_proba(indicators[test])[:, 1]
+        times[test] += 1
+    return stated / times
 
 
 def _bins(stated: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> Sequence[dict[str, Any]]:
