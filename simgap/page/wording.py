@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from simgap.diagnosis.config import LEVEL
-from simgap.diagnosis.report.names import listed, outside, title
+from simgap.diagnosis.report.forecasts import clear, rises
+from simgap.diagnosis.report.names import by_certainty, listed, outside, title
 from simgap.diagnosis.report.wording import NO_COMMANDS
 from simgap.page.marks import MODELS
 from simgap.page.numbers import DASH, fixed, interval, known, number, percent
@@ -61,14 +62,28 @@ def headline(statement: Values) -> str:
     verdict, effects = str(statement["verdict"]), by_importance(statement.get("effects") or [])
     if verdict != "missing_physics" or not effects:
         return " ".join(_HEADLINES.get(verdict, VERDICTS.get(verdict, verdict)).split()[:HEADLINE_WORDS])
-    names = list(dict.fromkeys(map(either, effects)))
+    certain, likely = (list(dict.fromkeys(map(either, e))) for e in by_certainty(effects))
     more = " Something else is missing too." if more_is_missing(statement) else ""
-    for shown in range(len(names), 0, -1):
-        rest = [f"{len(names) - shown} more"] if shown < len(names) else []
-        text = f"Missing in the simulator: {_listed([*names[:shown], *rest])}.{more}"
-        if len(text.split()) <= HEADLINE_WORDS:
-            return text
-    return f"Missing in the simulator: {len(names)} effect{'s' if len(names) > 1 else ''}.{more}"
+    shorter_and_shorter = (
+        _missing(_first(certain, shown), _first(likely, shown - len(certain))) + more
+        for shown in range(len(certain) + len(likely), -1, -1)
+    )
+    return next(text for text in shorter_and_shorter if len(text.split()) <= HEADLINE_WORDS)
+
+
+def _missing(certain: Sequence[str], likely: Sequence[str]) -> str:
+    if not likely:
+        return f"Missing in the simulator: {_listed(certain)}."
+    if not certain:
+        return f"Probably missing in the simulator: {_listed(likely)}."
+    return f"Missing in the simulator: {_listed(certain)}. Probably missing too: {_listed(likely)}."
+
+
+def _first(names: Sequence[str], count: int) -> list[str]:
+    """The first names, and the number of the others."""
+    shown = list(names[: max(count, 0)])
+    left = len(names) - len(shown)
+    return [*shown, f"{left} more" if shown else f"{left} effect{'s' if left > 1 else ''}"] if left else shown
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -135,13 +150,20 @@ def helps(statement: Values) -> list[str]:
     after, before = errors.get("augmented"), [errors[m] for m in ("nominal", "refitted") if known(errors.get(m))]
     lines = []
     if statement.get("effects") and before and known(after):
-        change = f"from {share(min(before))} to {share(after)} of the motion"
-        what = "Yes: held-out error falls" if after < min(before) else "No: held-out error does not fall, it goes"
-        lines.append(f"{what} {change}.")
+        lines.append(_answer(fit.get("change"), f"from {share(min(before))} to {share(after)} of the motion"))
     if statement.get("effects") and known(explained):
         between = f" ({percent(ends[0])} to {percent(ends[1])})" if ends and ends[0] < ends[1] else ""
         lines.append(f"What was found removes {percent(explained)}{between} of the error that a black box can remove.")
     return lines
+
+
+def _answer(change: Values | None, errors: str) -> str:
+    """Whether the held-out error falls. A statement from before 30 November 2026 has no interval of its change."""
+    if change is None:
+        return f"Held-out error goes {errors}."
+    if not clear(change):
+        return f"Not clear: held-out error goes {errors}, which may be chance."
+    return f"No: held-out error rises {errors}." if rises(change) else f"Yes: held-out error falls {errors}."
 
 
 def share(error: Any) -> str:
@@ -152,9 +174,14 @@ def share(error: Any) -> str:
 def to_do(statement: Values) -> list[str]:
     """What the reader should do, most important first."""
     verdict = statement["verdict"]
+    _, likely = by_certainty(by_importance(statement.get("effects") or []))
     lines = {
         "missing_physics": [
-            "Add these effects to the simulator (constants in section 2), or load the corrected one with simgap.load()."
+            _to_check(likely),
+            "Do not forecast with these effects: they raise the held-out error."
+            if rises((statement.get("fit") or {}).get("change"))
+            else "Add these effects to the simulator (constants in section 2), or load the corrected one with "
+            "simgap.load().",
         ],
         "parameters_only": ["Use the refitted parameters of section 5."],
         "nothing": ["Nothing has to change."],
@@ -166,6 +193,12 @@ def to_do(statement: Values) -> list[str]:
     if statement.get("experiment"):
         lines.append(statement["experiment"].get("statement", ""))
     return [line for line in lines if line]
+
+
+def _to_check(likely: Sequence[Values]) -> str:
+    names = list(dict.fromkeys(map(either, likely)))
+    are = "is" if len(names) == 1 else "are"
+    return f"Check on the machine: {_listed(names)} {are} likely, not certain." if names else ""
 
 
 def _look(located: Values) -> str:

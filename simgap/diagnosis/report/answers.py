@@ -69,6 +69,19 @@ def beyond_of(loose: Explanation | None) -> dict[str, float]:
     return {p.name: value for p, value in values if not p.low <= value <= p.high}
 
 
+def change_of(judged: Mapping[str, scores.Judged], rng: np.random.Generator) -> dict[str, Any] | None:
+    """Relative change of the error by the effects at the longest horizon, from the better of the models without them.
+
+    None if no effect was found, or if nothing could be scored.
+    """
+    if "augmented" not in judged:
+        return None
+    last = len(scores.horizons(judged["augmented"])) - 1
+    than = min(("nominal", "refitted"), key=lambda model: scores.relative_error(judged[model], last)[0])
+    change = scores.changes(judged[than], judged["augmented"], rng)[last]
+    return {"than": than, "at": scores.HORIZONS[last], **change}
+
+
 def sensitivity_of(seen: Sensitivity) -> dict[str, Any]:
     """What could have been found, and what could not."""
     return {

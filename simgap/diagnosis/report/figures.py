@@ -109,10 +109,10 @@ def _profile(problem: Problem, fit: Fit, hypothesis: Hypothesis) -> list[dict]:
     order = np.argsort(np.array(x)[keep])
     return [{
         "title": f"Likelihood of the {constant.name}",
-        "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood minus its maximum [nats]",
+        "x_label": f"{constant.name} [{unit}]", "y_label": "log-likelihood [nats]",
         "x": [], "y": [], "y_err": [],
         "line_x": np.array(x)[keep][order].tolist(), "line_y": (loglik - loglik.max())[keep][order].tolist(),
-        "caption": "All other constants fixed at their estimates.",
+        "caption": "Relative to the maximum. All other constants are fixed at their estimates.",
     }]  # fmt: skip
 
 

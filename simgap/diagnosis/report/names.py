@@ -42,6 +42,14 @@ def outside(effect: Mapping[str, Any]) -> float:
     return probability if probability > 1 - CREDIBLE else 0.0
 
 
+def by_certainty(effects: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
+    """Effects whose cause is among their names, surely, and those for which it is only likely."""
+    certain, likely = [], []
+    for effect in effects:
+        (likely if outside(effect) else certain).append(effect)
+    return certain, likely
+
+
 def in_steps(outputs: Sequence[Field], steps: Iterable[float]) -> list[str]:
     """A note on the outputs whose readings come in steps; none without any."""
     each = [f"{f.name} {number(step)} {f.unit}" for f, step in zip(outputs, steps, strict=True) if step]

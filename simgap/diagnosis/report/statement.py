@@ -12,10 +12,11 @@ from simgap.diagnosis.inference.noise_effect import NoiseEffect
 from simgap.diagnosis.inference.two_sample import whiteness_of
 from simgap.diagnosis.inference.whiteness import Whiteness
 from simgap.diagnosis.likelihood.segments import scorable
-from simgap.diagnosis.report import figures, localisation, noise_figures, wording
+from simgap.diagnosis.report import figures, forecasts, localisation, noise_figures, wording
 from simgap.diagnosis.report.answers import (
     alternatives_of,
     beyond_of,
+    change_of,
     credible_set,
     notes_of,
     parameters_of,
@@ -101,6 +102,7 @@ def statement(
             "models": {model: scores.scores(problem.augmented.layout, j, rng)
                        for model, j in outcome.judged.heldout.items()},
             "explained_share": share and share["value"], "explained_share_ci95": share and share["ci95"],
+            "change": change_of(outcome.judged.heldout, rng),
             "black_box_better_at": list(concluded.beaten_at),
             "worse": [{"model": b, "than": a, "at": at} for (a, b), at in concluded.worse_at.items() if at],
         },
@@ -108,7 +110,7 @@ def statement(
         "notes": [*notes_of(found, sessions), *notes(found)],
     }  # fmt: skip
     content |= {"insufficient": wording.insufficient(content)}
-    return {**content, "warnings": wording.warnings(content), "statement": wording.statement(content)}
+    return {**content, "warnings": forecasts.warnings(content), "statement": wording.statement(content)}
 
 
 def evidence(found: Explanation, sessions: Sessions, outcome: Outcome, plan: Plan | None) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """Sentences of a diagnosis."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
+from simgap.diagnosis.report import forecasts
 from simgap.diagnosis.report.experiment import RUNS, Experiment
-from simgap.diagnosis.report.names import listed, nominal, number, outside, quantity, title
+from simgap.diagnosis.report.names import by_certainty, listed, number, outside, quantity, title
 from simgap.effects import CATALOGUE
 
 
@@ -90,21 +90,6 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
     return reasons
 
 
-def warnings(diagnosis: dict[str, Any]) -> list[str]:
-    """What a reader must know before any number on the page."""
-    models, lines = diagnosis["fit"]["models"], []
-    of = {"nominal": f"the simulator {nominal(diagnosis)}", "refitted": "the refitted simulator",
-          "augmented": "the simulator with the effects"}  # fmt: skip
-    for worse in diagnosis["fit"]["worse"]:
-        for steps in worse["at"]:
-            before, after = (models[m][f"error_{steps}"]["value"] for m in (worse["than"], worse["model"]))
-            lines.append(
-                f"On held-out sessions {of[worse['model']]} is worse than {of[worse['than']]} after "
-                f"{_steps(steps)}: {_of_motion(after)} against {_of_motion(before)} of the motion."
-            )
-    return lines
-
-
 def statement(diagnosis: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
     lines = _VERDICTS[diagnosis["verdict"]](diagnosis)
@@ -112,7 +97,7 @@ def statement(diagnosis: dict[str, Any]) -> str:
         matches = " ".join(e["statement"] for e in diagnosis["closest_matches"])
         lines += f" Closest match, which explains only part of the mismatch: {matches}"
     if diagnosis["verdict"] == "missing_physics":
-        lines += _improvement(diagnosis)
+        lines += forecasts.improvement(diagnosis)
     return lines
 
 
@@ -157,13 +142,16 @@ def _unexplained(diagnosis: dict[str, Any]) -> str:
         "Something is missing that none of the known effects explains."
         + (f" It shows in {where}." if where else "")
         + (f" It depends most on {depends}." if depends else "")
-        + (f" On held-out sessions a black box predicts better after {listed([_steps(h) for h in better_at])}."
+        + (f" On held-out sessions a black box predicts better after {listed([forecasts.steps(h) for h in better_at])}."
            if better_at else "")
     )  # fmt: skip
 
 
 def _missing_physics(diagnosis: dict[str, Any]) -> str:
-    lines = f"The simulator leaves out: {' '.join(map(_named, diagnosis['effects']))}"
+    certain, likely = (" ".join(map(_named, effects)) for effects in by_certainty(diagnosis["effects"]))
+    lines = f"The simulator leaves out: {certain}" if certain else ""
+    if likely:
+        lines += (" It probably also leaves out: " if certain else "The simulator probably leaves out: ") + likely
     more = []
     if diagnosis["whiteness"]["outputs"]:
         shares = [
@@ -190,7 +178,7 @@ _VERDICTS = {
 }
 
 
-def _named(effect: dict[str, Any]) -> str:
+def _named(effect: Mapping[str, Any]) -> str:
     """A named effect, what else in its credible set it may be, and how likely its cause is none of these."""
     others = [title(name) for name in effect["credible_set"] if name != effect["id"]]
     lines = [effect["statement"]]
@@ -216,31 +204,3 @@ def _would_show(diagnosis: dict[str, Any]) -> str:
 def sized(visible: dict[str, Any]) -> str:
     """The smallest detectable size of an effect, with its unit."""
     return quantity({"value": visible["size"], "unit": visible["unit"]})
-
-
-def _improvement(diagnosis: dict[str, Any]) -> str:
-    """Improvement over the simulator as it is or refitted, whichever is better, at the longest horizon."""
-    models, names = diagnosis["fit"]["models"], {"nominal": nominal(diagnosis), "refitted": "refitted"}
-    if "augmented" not in models or any("parameters" in e for e in diagnosis["effects"]):
-        return ""  # what stands in for a hidden state is no improvement to speak of
-    longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
-    better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
-    before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
-    gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]
-    return (
-        f" On held-out sessions the error after {_steps(_horizon(longest))} goes from {before:.1%} (the simulator "
-        f"{names[better[longest]]}) to {after:.1%} of the motion; the one-step log-likelihood changes by "
-        f"{gained:+.2f} nats a row against the simulator {names[better['nll_1']]}."
-    )
-
-
-def _of_motion(error: float) -> str:
-    return f"{error:.1%}" if math.isfinite(error) else "infinitely much"
-
-
-def _horizon(score: str) -> int:
-    return int(score.split("_")[1])
-
-
-def _steps(n: int) -> str:
-    return "one step" if n == 1 else f"{n} steps"

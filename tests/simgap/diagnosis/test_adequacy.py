@@ -13,7 +13,8 @@ from small import RICH, acting, sessions
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.report import wording
+from simgap.diagnosis.report import forecasts, wording
+from simgap.diagnosis.report.answers import change_of
 from simgap.diagnosis.validation import adequacy
 from simgap.diagnosis.validation.adequacy import conclude
 from simgap.diagnosis.validation.scores import (
@@ -67,6 +68,16 @@ def test_forecasts_that_explode_are_compared_without_a_word() -> None:
     exploded = judged(np.full((50, 3, 2), np.inf, np.float32))
     assert beats([exploded], judged(noise(0, n=50)[..., :2])) == []
     assert beats([judged(noise(0, n=50)[..., :2])], exploded) == []
+
+
+def test_the_change_by_effects_is_from_the_better_of_the_models_without_them() -> None:
+    nominal, refitted, augmented = judged(noise(0, 0.8)), judged(noise(1)), judged(noise(2, 0.4))
+    found = change_of({"nominal": nominal, "refitted": refitted, "augmented": augmented}, np.random.default_rng(0))
+    assert found is not None
+    assert (found["than"], found["at"]) == ("nominal", HORIZONS[-1])
+    assert found["value"] == pytest.approx(-0.5, abs=0.1)
+    assert found["ci95"][0] < found["value"] < found["ci95"][1] < 0
+    assert change_of({"nominal": nominal, "refitted": refitted}, np.random.default_rng(0)) is None
 
 
 def test_where_refitting_makes_it_worse_is_known_by_horizon() -> None:
@@ -220,15 +231,19 @@ def models(**errors: float) -> dict[str, Any]:
 
 
 def test_the_headline_compares_with_the_better_of_nominal_and_refitted() -> None:
-    fit = {"models": models(nominal=0.175, refitted=0.376, augmented=0.017)}
-    assert "from 17.5% (the simulator as it is) to 1.7%" in wording._improvement({"fit": fit, "effects": []})
-    started = wording._improvement({"fit": fit, "effects": [], "model_file": {"start": {"kp pan": 0.05}}})
+    change = {"than": "nominal", "at": 50, "value": -0.9, "ci95": [-0.92, -0.88]}
+    fit = {"models": models(nominal=0.175, refitted=0.376, augmented=0.017), "change": change}
+    assert "from 17.5% (the simulator as it is) to 1.7%" in forecasts.improvement({"fit": fit, "effects": []})
+    started = forecasts.improvement({"fit": fit, "effects": [], "model_file": {"start": {"kp pan": 0.05}}})
     assert "from 17.5% (the simulator as the search began) to 1.7%" in started
+    assert "may be chance" not in started
+    unclear = {**fit, "change": {**change, "ci95": [-0.99, 0.1]}}
+    assert "to 1.7% of the motion, which may be chance;" in forecasts.improvement({"fit": unclear, "effects": []})
 
 
 def test_a_refit_that_is_worse_is_a_warning() -> None:
     worse = [{"model": "refitted", "than": "nominal", "at": [50]}]
-    (line,) = wording.warnings({"fit": {"models": models(nominal=0.175, refitted=0.376), "worse": worse}})
+    (line,) = forecasts.warnings({"fit": {"models": models(nominal=0.175, refitted=0.376), "worse": worse}})
     assert "the refitted simulator is worse than the simulator as it is after 50 steps: 37.6% against 17.5%" in line
 
 
@@ -240,6 +255,20 @@ def test_a_tie_is_said_where_its_effect_is_named(credible: list[str], said: str)
     sentence = wording._named(effect)
     assert sentence.startswith(said)
     assert ("cannot tell this from delay: that it is lag has a probability of 50%" in sentence) == (len(credible) > 1)
+
+
+@pytest.mark.parametrize(
+    ("outside", "said"),
+    [((0.0, 0.02), "The simulator leaves out: A lag. A slope."),
+     ((0.3, 0.0), "The simulator leaves out: A slope. It probably also leaves out: A lag. With a probability of 30%"),
+     ((0.3, 0.4), "The simulator probably leaves out: A lag. With a probability of 30%")],
+)  # fmt: skip
+def test_what_is_likely_is_not_said_to_be_certain(outside: tuple[float, float], said: str) -> None:
+    effects = [{"id": i, "probability": 1 - p, "outside": p, "credible_set": [i], "statement": f"A {i}.",
+                "support": {"regime": None}} for i, p in zip(("lag", "slope"), outside, strict=True)]  # fmt: skip
+    diagnosis = {"effects": effects, "whiteness": {"outputs": []}, "nonparametric": [], "more_missing": False,
+                 "located": {"regimes": []}}  # fmt: skip
+    assert wording._missing_physics(diagnosis).startswith(said)
 
 
 def test_the_parameters_of_these_tests_are_the_nominal_ones() -> None:

@@ -118,7 +118,9 @@ def missing_physics() -> tuple[dict[str, Any], dict[str, Any]]:
         "experiment": {"statement": "Push the hand outwards at three speeds, with the arm bent, then stretched.",
                        "commands": "experiment.csv", "separates": ["reach_limit", "saturation"]},
         "parameters": parameters(("alpha_1", "alpha_3", "gamma_4")),
-        "fit": {"heldout_sessions": HELDOUT, "explained_share": 0.93, "explained_share_ci95": [0.88, 0.97],
+        "fit": {"heldout_sessions": HELDOUT,
+                "change": {"than": "refitted", "at": 50, "value": -0.69, "ci95": [-0.74, -0.63]},
+                "explained_share": 0.93, "explained_share_ci95": [0.88, 0.97],
                 "models": {"nominal": scores(-21.3, 0.31, 0.62, 1.84, 0.41, 0.52),
                            "refitted": scores(-24.9, 0.22, 0.41, 0.93, 0.22, 0.3),
                            "augmented": scores(-31.2, 0.13, 0.17, 0.29, 0.07, 0.09),
@@ -259,13 +261,15 @@ def test_a_page_stands_alone(pages: dict[str, str], name: str) -> None:
 
 def test_missing_physics_is_described_from_headline_to_notes(pages: dict[str, str]) -> None:
     said = text(pages["missing_physics"])
-    order = ["Physics is missing", "delay; reach limit or saturation", "probability 97 %", "0.134 s (0.129 to 0.139)",
+    order = ["Physics is missing", "Missing in the simulator: delay. Probably missing too: reach limit or saturation.",
+             "probability 97 %", "0.134 s (0.129 to 0.139)",
              "How sure", "reach limit or saturation: these recordings cannot decide which",
              "reach limit or saturation: with a probability of 12 % the cause is another one",
              "Noise alone would gain as much with a probability of 0.002",
              "Does it help?", "Yes: held-out error falls from 93.0 % to 29.0 % of the motion",
              "What was found removes 93 % (88 % to 97 %)", "Held-out error after 50 steps", "as is184.0 %",
              "black box33.0 %", "What to do",
+             "Check on the machine: reach limit or saturation is likely, not certain",
              "Push the hand outwards", "commands to the base act 0.13 s late", "Where is the mismatch?",
              "52 % of all excess falls where command of the base just changed, which is 20 % of the rows",
              "walk_a, 6.7 to 9.3 s (12 % of all excess)", "What is missing?", "97 % probable", "0.134 s",

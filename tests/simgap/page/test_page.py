@@ -128,12 +128,14 @@ def test_nothing_in_the_package_switches_escaping_off() -> None:
     st.lists(
         st.lists(st.from_regex(r"[a-z]{1,9}(_[a-z]{1,9}){0,4}", fullmatch=True), min_size=1, max_size=4), max_size=9
     ),
+    st.integers(0, 9),
     st.booleans(),
     st.sampled_from([*wording.VERDICTS, "a verdict of another kind"]),
 )
 @settings(deadline=None)
-def test_a_headline_has_at_most_25_words(sets: list[list[str]], more: bool, verdict: str) -> None:
-    effects = [{"id": names[0], "credible_set": names, "gain_nats": float(k)} for k, names in enumerate(sets)]
+def test_a_headline_has_at_most_25_words(sets: list[list[str]], certain: int, more: bool, verdict: str) -> None:
+    effects = [{"id": names[0], "credible_set": names, "gain_nats": float(k), "outside": 0.3 * (k < certain)}
+               for k, names in enumerate(sets)]  # fmt: skip
     said = wording.headline({"verdict": verdict, "effects": effects, "more_missing": more})
     assert 0 < len(said.split()) <= 25
 
@@ -145,6 +147,24 @@ def test_effects_come_by_what_held_out_sessions_gain() -> None:
     assert wording.headline(statement) == "Missing in the simulator: large, small and unknown."
     words = Outline(page(statement, Figures())).words
     assert words.rindex("large") < words.rindex("small") < words.rindex("unknown")
+
+
+@pytest.mark.parametrize(
+    ("outside", "headline", "to_check"),
+    [((0.01, 0.0), "Missing in the simulator: delay and slope.", []),
+     ((0.4, 0.3), "Probably missing in the simulator: delay and slope.", ["delay and slope are likely"]),
+     ((0.4, 0.0), "Missing in the simulator: slope. Probably missing too: delay.", ["delay is likely"])],
+)  # fmt: skip
+def test_a_name_that_is_not_certain_is_said_to_be_probable(
+    outside: tuple[float, float], headline: str, to_check: list[str]
+) -> None:
+    effects = [{"id": i, "outside": p, "heldout_gain_nats": g}
+               for i, p, g in zip(("delay", "slope"), outside, (9.0, 5.0), strict=True)]  # fmt: skip
+    statement = {"verdict": "missing_physics", "effects": effects}
+    assert wording.headline(statement) == headline
+    checks = [line for line in wording.to_do(statement) if line.startswith("Check on the machine: ")]
+    assert len(checks) == len(to_check)
+    assert all(words in line for words, line in zip(to_check, checks, strict=True))
 
 
 def test_an_effect_has_one_name() -> None:
@@ -172,12 +192,21 @@ def test_what_noise_alone_gains_has_no_threshold_and_every_candidate_one_bar() -
     assert 50 < float(passed["threshold"]) < 60
 
 
-@pytest.mark.parametrize(("after", "words"), [(0.2, "Yes: held-out error falls from 50.0 % to 20.0 %"),
-                                              (0.7, "No: held-out error does not fall")])  # fmt: skip
-def test_the_first_screen_says_whether_the_effects_help(after: float, words: str) -> None:
+@pytest.mark.parametrize(
+    ("after", "ends", "words"),
+    [(0.2, [-0.7, -0.5], "Yes: held-out error falls from 50.0 % to 20.0 %"),
+     (0.49, [-0.1, 0.06], "Not clear: held-out error goes from 50.0 % to 49.0 % of the motion, which may be chance"),
+     (0.7, [0.3, 0.5], "No: held-out error rises from 50.0 % to 70.0 %"),
+     (0.2, None, "Held-out error goes from 50.0 % to 20.0 %")],
+)  # fmt: skip
+def test_the_first_screen_says_whether_the_effects_help(after: float, ends: list[float] | None, words: str) -> None:
     models = STATEMENT["fit"]["models"] | {"augmented": {"error_50": {"value": after, "ci95": None}}}
-    said = Outline(page(STATEMENT | {"fit": STATEMENT["fit"] | {"models": models}}, Figures())).words
-    assert words in said[: said.index("Where is the mismatch?")]
+    change = ends and {"than": "nominal", "at": 50, "value": after / 0.5 - 1, "ci95": ends}
+    said = Outline(page(STATEMENT | {"fit": STATEMENT["fit"] | {"models": models, "change": change}}, Figures())).words
+    first_screen = said[: said.index("Where is the mismatch?")]
+    assert words in first_screen
+    assert ("Do not forecast with these effects" in first_screen) == words.startswith("No:")
+    assert ("Add these effects to the simulator" in first_screen) != words.startswith("No:")
 
 
 @pytest.mark.parametrize("verdict", wording.VERDICTS)

@@ -1,0 +1,64 @@
+"""Sentences on forecasts of held-out sessions."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from simgap.diagnosis.report.names import nominal
+
+
+def warnings(diagnosis: dict[str, Any]) -> list[str]:
+    """What a reader must know before any number on the page."""
+    models, lines = diagnosis["fit"]["models"], []
+    of = {"nominal": f"the simulator {nominal(diagnosis)}", "refitted": "the refitted simulator",
+          "augmented": "the simulator with the effects"}  # fmt: skip
+    for worse in diagnosis["fit"]["worse"]:
+        for horizon in worse["at"]:
+            before, after = (models[m][f"error_{horizon}"]["value"] for m in (worse["than"], worse["model"]))
+            lines.append(
+                f"On held-out sessions {of[worse['model']]} is worse than {of[worse['than']]} after "
+                f"{steps(horizon)}: {_of_motion(after)} against {_of_motion(before)} of the motion."
+            )
+    return lines
+
+
+def improvement(diagnosis: dict[str, Any]) -> str:
+    """Improvement over the simulator as it is or refitted, whichever is better, at the longest horizon."""
+    models, names = diagnosis["fit"]["models"], {"nominal": nominal(diagnosis), "refitted": "refitted"}
+    if "augmented" not in models or any("parameters" in e for e in diagnosis["effects"]):
+        return ""  # what stands in for a hidden state is no improvement to speak of
+    longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
+    better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
+    before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
+    gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]
+    change = diagnosis["fit"]["change"]
+    chance = "" if change is None or clear(change) else ", which may be chance"
+    return (
+        f" On held-out sessions the error after {steps(_horizon(longest))} goes from {before:.1%} (the simulator "
+        f"{names[better[longest]]}) to {after:.1%} of the motion{chance}; the one-step log-likelihood changes by "
+        f"{gained:+.2f} nats a row against the simulator {names[better['nll_1']]}."
+    )
+
+
+def clear(change: Mapping[str, Any]) -> bool:
+    """Whether the interval of a change excludes zero."""
+    low, high = change["ci95"]
+    return not low <= 0 <= high
+
+
+def rises(change: Mapping[str, Any] | None) -> bool:
+    """Whether an error clearly rises."""
+    return change is not None and clear(change) and change["value"] > 0
+
+
+def _of_motion(error: float) -> str:
+    return f"{error:.1%}" if math.isfinite(error) else "infinitely much"
+
+
+def steps(n: int) -> str:
+    """A horizon in words."""
+    return "one step" if n == 1 else f"{n} steps"
+
+
+def _horizon(score: str) -> int:
+    return int(score.split("_")[1])
