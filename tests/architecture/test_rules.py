@@ -158,6 +158,17 @@ def test_a_stage_depends_on_the_code_it_runs(pipeline: str, stage: str) -> None:
         assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
 
 
+def test_more_seeds_depend_on_the_code_they_run() -> None:
+    """The same for models without a diagnosis, and for their scores."""
+    deps = yaml.safe_load((ROOT / "pipelines" / "seeds" / "dvc.yaml").read_text())["stages"]["sweep"]["do"]["deps"]
+    from tasks.fingerprint import TRAINING, modules_of
+
+    for path in modules_of((*TRAINING, "simgap.scores", "simgap.prediction")):
+        relative = str(path.relative_to(ROOT))
+        if relative != "simgap/simulators/__init__.py":
+            assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
+
+
 def test_the_policies_depend_on_the_code_they_run() -> None:
     """Every module of simgap that learning a policy imports is a dependency of the DVC stage."""
     deps = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]["policy"]["deps"]

@@ -146,14 +146,12 @@ def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("listed", "stage"),
-    [
-        (("list", "pipelines/external/dvc.yaml"), "external"),
-        (("list", "pipelines/ground/dvc.yaml"), "ground"),
-        (("list", "pipelines/diagnosed/dvc.yaml"), "sweep"),
-    ],
-    ids=["external", "ground", "diagnosed"],
-)
-def test_pipelines_of_a_single_stage_are_complete(run: Callable[..., str], listed: tuple[str, str], stage: str) -> None:
-    stages = run("dvc", "stage", *listed)
-    assert [line.split()[0] for line in stages.splitlines()] == [f"{listed[1]}:{stage}"]
+    ("pipeline", "stages"),
+    [("external", ["external"]), ("ground", ["ground"]), ("diagnosed", ["sweep"]),
+     ("seeds", ["sweep@spot", "sweep@virtual"])],
+)  # fmt: skip
+def test_pipelines_of_a_single_command_are_complete(run: Callable[..., str], pipeline: str, stages: list[str]) -> None:
+    path = f"pipelines/{pipeline}/dvc.yaml"
+    assert [line.split()[0] for line in run("dvc", "stage", "list", path).splitlines()] == [
+        f"{path}:{stage}" for stage in stages
+    ]
