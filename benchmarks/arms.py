@@ -43,7 +43,8 @@ def once(tables: str, folder: str) -> dict[str, float]:
 
     environment.settle(environment.numerics())
     from simgap.api import diagnose
-    from simgap.diagnosis.inference import explain, relinearise
+    from simgap.diagnosis.inference import explain
+    from simgap.diagnosis.inference.fitting import relinearise
     from simgap.diagnosis.likelihood.linearised import tabulated
     from simgap.simulators.mujoco.engine import MujocoEngine
 

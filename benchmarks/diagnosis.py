@@ -17,8 +17,8 @@ import numpy as np
 
 from simgap.diagnosis.diagnose import Diagnosis, diagnose
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut

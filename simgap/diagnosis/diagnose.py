@@ -12,9 +12,9 @@ from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import for_heldout, opened
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.model import Reporter
+from simgap.diagnosis.inference.fitting.model import Reporter
 from simgap.diagnosis.inference.passes import explained
-from simgap.diagnosis.inference.posterior import at_bound
+from simgap.diagnosis.inference.search.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.resolution import dithered, resolution
 from simgap.diagnosis.report import experiment

@@ -146,12 +146,17 @@ def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pipeline", "stages"),
-    [("external", ["external"]), ("ground", ["ground"]), ("diagnosed", ["sweep"]),
-     ("seeds", ["sweep@spot", "sweep@virtual"])],
-)  # fmt: skip
-def test_pipelines_of_a_single_command_are_complete(run: Callable[..., str], pipeline: str, stages: list[str]) -> None:
-    path = f"pipelines/{pipeline}/dvc.yaml"
-    assert [line.split()[0] for line in run("dvc", "stage", "list", path).splitlines()] == [
-        f"{path}:{stage}" for stage in stages
-    ]
+    ("listed", "stages"),
+    [
+        (("list", "pipelines/external/dvc.yaml"), ["external"]),
+        (("list", "pipelines/ground/dvc.yaml"), ["ground"]),
+        (("list", "pipelines/diagnosed/dvc.yaml"), ["sweep"]),
+        (("list", "pipelines/seeds/dvc.yaml"), ["sweep@spot", "sweep@virtual"]),
+    ],
+    ids=["external", "ground", "diagnosed", "seeds"],
+)
+def test_pipelines_of_a_single_stage_are_complete(
+    run: Callable[..., str], listed: tuple[str, str], stages: list[str]
+) -> None:
+    found = run("dvc", "stage", *listed)
+    assert [line.split()[0] for line in found.splitlines()] == [f"{listed[1]}:{stage}" for stage in stages]

@@ -8,18 +8,18 @@ import numpy as np
 from simgap.diagnosis.config import LEAST_SHARE, MOST_SUPPORTS
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind, changed, hypotheses_of, within_session
 from simgap.diagnosis.hypotheses.support import ALWAYS, Since, Support, Window, for_heldout, opened, to_its_end
-from simgap.diagnosis.inference.alternatives import Member, defend, drop_dominated
-from simgap.diagnosis.inference.disturbances import pushed
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.heldout import agrees, by_row, gain
-from simgap.diagnosis.inference.model import Found, Model, Reporter, Round, Trial, refitted_without
-from simgap.diagnosis.inference.noise import noise_effects
-from simgap.diagnosis.inference.nonparametric import no_law, nonparametric_law
-from simgap.diagnosis.inference.onsets import hidden_restriction, restriction
-from simgap.diagnosis.inference.posterior import spread
-from simgap.diagnosis.inference.relaxation import misfits
-from simgap.diagnosis.inference.select import Inputs, search
-from simgap.diagnosis.inference.starts import begun_anew, fitted_starts, led
+from simgap.diagnosis.inference.fitting.heldout import agrees, by_row, gain
+from simgap.diagnosis.inference.fitting.model import Found, Model, Reporter, Round, Trial, refitted_without
+from simgap.diagnosis.inference.fitting.starts import begun_anew, fitted_starts, led
+from simgap.diagnosis.inference.misfit.nonparametric import no_law, nonparametric_law
+from simgap.diagnosis.inference.misfit.relaxation import misfits
+from simgap.diagnosis.inference.noise.find import noise_effects
+from simgap.diagnosis.inference.search.alternatives import Member, defend, drop_dominated
+from simgap.diagnosis.inference.search.disturbances import pushed
+from simgap.diagnosis.inference.search.onsets import hidden_restriction, restriction
+from simgap.diagnosis.inference.search.posterior import spread
+from simgap.diagnosis.inference.search.select import Inputs, search
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening

@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.support import ALWAYS, Support
-from simgap.diagnosis.inference.alternatives import Member
-from simgap.diagnosis.inference.model import Round
-from simgap.diagnosis.inference.noise_effect import NoiseEffect
-from simgap.diagnosis.inference.nonparametric import Law
-from simgap.diagnosis.inference.posterior import Spread
-from simgap.diagnosis.inference.whiteness import Whiteness, named_share
+from simgap.diagnosis.inference.fitting.model import Round
+from simgap.diagnosis.inference.misfit.nonparametric import Law
+from simgap.diagnosis.inference.misfit.whiteness import Whiteness, named_share
+from simgap.diagnosis.inference.noise.effect import NoiseEffect
+from simgap.diagnosis.inference.search.alternatives import Member
+from simgap.diagnosis.inference.search.posterior import Spread
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.effects.regime import EVERYWHERE, Acting, Regime, everywhere

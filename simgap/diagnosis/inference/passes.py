@@ -6,13 +6,13 @@ A simulator whose step is a JAX function and whose states are all measured needs
 import numpy as np
 
 from simgap.diagnosis.config import EXPLAINED
-from simgap.diagnosis.inference.behind_joints import behind_joints
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, settled
-from simgap.diagnosis.inference.posterior import spread
-from simgap.diagnosis.inference.relinearise import itself
-from simgap.diagnosis.inference.starts import fitted_starts, led
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, refitted_without, settled
+from simgap.diagnosis.inference.fitting.relinearise import itself
+from simgap.diagnosis.inference.fitting.starts import fitted_starts, led
+from simgap.diagnosis.inference.hidden.behind_joints import behind_joints
+from simgap.diagnosis.inference.search.posterior import spread
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.likelihood.unmeasured import estimated, guessed
 from simgap.engines import Engine, is_engine

@@ -7,11 +7,11 @@ from jaxtyping import Bool, Int
 from scipy.special import stdtrit
 
 from simgap.diagnosis.config import LEAST_SESSIONS, LEVEL
-from simgap.diagnosis.inference.model import Model, Trial
-from simgap.diagnosis.inference.noise import noise_effects
-from simgap.diagnosis.inference.noise_effect import NoiseEffect
-from simgap.diagnosis.inference.posterior import differs_from_zero, spread
-from simgap.diagnosis.inference.whiteness import Whiteness, by_row, whiteness
+from simgap.diagnosis.inference.fitting.model import Model, Trial
+from simgap.diagnosis.inference.misfit.whiteness import Whiteness, by_row, whiteness
+from simgap.diagnosis.inference.noise.effect import NoiseEffect
+from simgap.diagnosis.inference.noise.find import noise_effects
+from simgap.diagnosis.inference.search.posterior import differs_from_zero, spread
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, cut, most_rows, rows_of

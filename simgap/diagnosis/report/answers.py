@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from simgap.diagnosis.config import CREDIBLE, POWER, Z95
-from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.explanation import Explanation
+from simgap.diagnosis.inference.search import posterior
 from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import wording
 from simgap.diagnosis.report.names import title

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.score_test import vary
 from simgap.diagnosis.likelihood.problem import Fit, Problem, raw_innovations, trials, value_of
 from simgap.diagnosis.likelihood.segments import RUN_IN, counted
 from simgap.diagnosis.likelihood.student_t import log_density

@@ -41,9 +41,9 @@ def improvement(diagnosis: dict[str, Any]) -> str:
 
 
 def clear(change: Mapping[str, Any]) -> bool:
-    """Whether the interval of a change excludes zero."""
+    """Whether the interval of a change excludes zero. A single piece of a session has an interval of no width."""
     low, high = change["ci95"]
-    return not low <= 0 <= high
+    return low < high and not low <= 0 <= high
 
 
 def rises(change: Mapping[str, Any] | None) -> bool:

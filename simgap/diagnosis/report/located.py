@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.support import From, Window
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.whiteness import Whiteness, whiteness
+from simgap.diagnosis.inference.misfit.whiteness import Whiteness, whiteness
 from simgap.diagnosis.likelihood.problem import evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.report import localisation

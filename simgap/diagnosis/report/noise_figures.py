@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from simgap.diagnosis.inference.noise_effect import Axis, Between, Spectrum, Widening
+from simgap.diagnosis.inference.noise.effect import Axis, Between, Spectrum, Widening
 from simgap.diagnosis.likelihood.student_t import Noise
 from simgap.diagnosis.report.figures import binned
 from simgap.types import Field

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.features import inside
-from simgap.diagnosis.inference.gauss_newton import hold, lowest
-from simgap.diagnosis.inference.model import Model, absorbing
+from simgap.diagnosis.inference.fitting.gauss_newton import hold, lowest
+from simgap.diagnosis.inference.fitting.model import Model, absorbing
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions, room_to_move
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from simgap.diagnosis.hypotheses.support import Always, From, Since, Support, Window
-from simgap.diagnosis.inference import posterior
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.noise_effect import NoiseEffect
+from simgap.diagnosis.inference.misfit.whiteness import Whiteness
+from simgap.diagnosis.inference.noise.effect import NoiseEffect
+from simgap.diagnosis.inference.search import posterior
 from simgap.diagnosis.inference.two_sample import whiteness_of
-from simgap.diagnosis.inference.whiteness import Whiteness
 from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import figures, forecasts, localisation, noise_figures, wording
 from simgap.diagnosis.report.answers import (

@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from simgap.diagnosis.config import EXPLAINED, KNOWN, LIKELY
-from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.heldout import gain
-from simgap.diagnosis.inference.noise_effect import NoiseEffect, Spectrum
-from simgap.diagnosis.inference.posterior import deviations_for, differs_from_zero
+from simgap.diagnosis.inference.fitting.heldout import gain
+from simgap.diagnosis.inference.noise.effect import NoiseEffect, Spectrum
+from simgap.diagnosis.inference.search.alternatives import Member
+from simgap.diagnosis.inference.search.posterior import deviations_for, differs_from_zero
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.calibration import probability

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.inference.explanation import Explanation, Hidden
-from simgap.diagnosis.inference.model import without
+from simgap.diagnosis.inference.fitting.model import without
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks

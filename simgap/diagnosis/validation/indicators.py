@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.whiteness import touched
+from simgap.diagnosis.inference.misfit.whiteness import touched
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.mistaken import mistaken
 from simgap.diagnosis.validation.scores import Judged, Judgement

@@ -4,10 +4,10 @@ A range that is too narrow looks like missing physics, so no claim may depend on
 """
 
 from simgap.diagnosis.config import LEAST_SHARE
-from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Model, refitted_without, settled
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import Model, refitted_without, settled
+from simgap.diagnosis.inference.search.alternatives import Member
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.threads import side_by_side
 

@@ -11,9 +11,9 @@ from scipy.special import ndtri
 
 from simgap.diagnosis.config import FEW, LEAST_BLOCK, POWER
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
-from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.score_test import in_proportion
-from simgap.diagnosis.inference.screening import Screened, Screening
+from simgap.diagnosis.inference.evidence.null_distribution import blocks
+from simgap.diagnosis.inference.evidence.score_test import in_proportion
+from simgap.diagnosis.inference.evidence.screening import Screened, Screening
 from simgap.diagnosis.likelihood.problem import Problem
 
 LARGEST = 10.0

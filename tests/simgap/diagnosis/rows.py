@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.config import BLOCK
-from simgap.diagnosis.inference.noise_sample import HELD, Robot, Sample
+from simgap.diagnosis.inference.noise.sample import HELD, Robot, Sample
 
 STEP = 1 / 15
 NAMES = tuple("abcdef")

@@ -5,9 +5,9 @@ from planted import SPOT, recordings
 
 from simgap.diagnosis.config import EXPLAINED, LIKELY
 from simgap.diagnosis.inference import explain as explanation
-from simgap.diagnosis.inference.alternatives import Member
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.posterior import differs_from_zero
+from simgap.diagnosis.inference.search.alternatives import Member
+from simgap.diagnosis.inference.search.posterior import differs_from_zero
 from simgap.diagnosis.likelihood.filter import Variables, filtered
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.scales import measure

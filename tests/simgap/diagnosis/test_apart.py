@@ -5,7 +5,7 @@ import pytest
 from tanks import SCHEMA, Tanks, recorded
 
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.inference.starts import fitted_starts
+from simgap.diagnosis.inference.fitting.starts import fitted_starts
 from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start
 from simgap.diagnosis.likelihood.scales import measure

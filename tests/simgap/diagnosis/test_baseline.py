@@ -9,11 +9,11 @@ from simgap.diagnosis.config import LEAST_SESSIONS
 from simgap.diagnosis.hypotheses.space import changed, hypotheses_of
 from simgap.diagnosis.hypotheses.support import Since, Window, opened
 from simgap.diagnosis.inference import explain as explanation
+from simgap.diagnosis.inference.evidence.score_test import vary
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Trial
-from simgap.diagnosis.inference.posterior import constants
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import Trial
+from simgap.diagnosis.inference.search.posterior import constants
 from simgap.diagnosis.inference.two_sample import differs
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.types import Recording, Sessions

@@ -13,11 +13,11 @@ import pytest
 from servos import Servos, recorded
 
 from simgap.diagnosis.diagnose import Diagnosis, _model, _replayed
-from simgap.diagnosis.inference import behind_joints as module
-from simgap.diagnosis.inference.behind_joints import FOUND, _beside, _Contest, _without_companions
 from simgap.diagnosis.inference.explanation import Explanation, Hidden
-from simgap.diagnosis.inference.hidden import Gains, State, fitted
-from simgap.diagnosis.inference.relinearise import itself
+from simgap.diagnosis.inference.fitting.relinearise import itself
+from simgap.diagnosis.inference.hidden import behind_joints as module
+from simgap.diagnosis.inference.hidden.behind_joints import FOUND, _beside, _Contest, _without_companions
+from simgap.diagnosis.inference.hidden.rivals import Gains, State, fitted
 from simgap.diagnosis.likelihood.direct import driven, innovations
 from simgap.diagnosis.likelihood.filter import Variables, gain_matrix
 from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, start, whitening

@@ -6,12 +6,12 @@ from test_numerics import known
 from test_ranges import driven, ranged
 
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.alternatives import Member
+from simgap.diagnosis.inference.evidence.score_test import vary
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.search import posterior
+from simgap.diagnosis.inference.search.alternatives import Member
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation.ranges import needed_beyond_ranges
 from simgap.types import Sessions

@@ -9,8 +9,8 @@ from test_numerics import known, optimised, posed
 from test_ranges import driven
 
 from examples.drive import DRIVE, PARAMETERS, Drive
-from simgap.diagnosis.inference.model import Model
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting.model import Model
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut

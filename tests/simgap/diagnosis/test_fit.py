@@ -13,9 +13,9 @@ from simgap.diagnosis.config import Z95
 from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import From, opened
-from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.gauss_newton import hold, lowest, optimise, refine
-from simgap.diagnosis.inference.model import Model, decorrelated
+from simgap.diagnosis.inference.fitting.gauss_newton import hold, lowest, optimise, refine
+from simgap.diagnosis.inference.fitting.model import Model, decorrelated
+from simgap.diagnosis.inference.search import posterior
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions
 from simgap.diagnosis.likelihood.filter import Variables

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from planted import SPOT
 from small import problem, sessions
 
+from simgap.diagnosis.inference.misfit.whiteness import named_share, whiteness
 from simgap.diagnosis.inference.two_sample import whiteness_since
-from simgap.diagnosis.inference.whiteness import named_share, whiteness
 from simgap.diagnosis.likelihood.problem import Fit, Problem, start
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density

@@ -9,10 +9,10 @@ from rows import BURST, JITTER, LOST, NULLS, ROBOT, SLOPE, STALL, STEP, drawn
 from scipy.stats import binom
 
 from simgap.diagnosis.hypotheses.support import Window
-from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect
-from simgap.diagnosis.inference.noise_rows import explained
-from simgap.diagnosis.inference.scan import edges_ci95
-from simgap.diagnosis.inference.spectral_line import SEGMENT, line_of
+from simgap.diagnosis.inference.evidence.scan import edges_ci95
+from simgap.diagnosis.inference.noise.effect import OTHER, NoiseEffect
+from simgap.diagnosis.inference.noise.rows import explained
+from simgap.diagnosis.inference.noise.spectral_line import SEGMENT, line_of
 from simgap.diagnosis.likelihood.segments import Rows
 from simgap.diagnosis.likelihood.student_t import fit_noise
 

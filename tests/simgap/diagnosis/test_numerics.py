@@ -9,12 +9,12 @@ from test_ranges import driven
 
 from examples.drive import PARAMETERS, SCHEMA, Drive
 from simgap.diagnosis.hypotheses.space import Hypothesis, hypotheses_of
-from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.gauss_newton import hold, optimise, refine
-from simgap.diagnosis.inference.model import Model, absorbing
-from simgap.diagnosis.inference.one_more import one_more
-from simgap.diagnosis.inference.relaxation import room
-from simgap.diagnosis.inference.score_test import basis_of, screen, vary
+from simgap.diagnosis.inference.evidence.score_test import basis_of, screen, vary
+from simgap.diagnosis.inference.fitting.gauss_newton import hold, optimise, refine
+from simgap.diagnosis.inference.fitting.model import Model, absorbing
+from simgap.diagnosis.inference.misfit.relaxation import room
+from simgap.diagnosis.inference.search import posterior
+from simgap.diagnosis.inference.search.one_more import one_more
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, trials, whitening
 from simgap.diagnosis.likelihood.scales import measure

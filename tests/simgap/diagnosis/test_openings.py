@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simgap.diagnosis.inference import explain, select
-from simgap.diagnosis.inference.model import Found, Round
+from simgap.diagnosis.inference import explain
+from simgap.diagnosis.inference.fitting.model import Found, Round
+from simgap.diagnosis.inference.search import select
 from simgap.ground.draw import recorded
 from simgap.ground.machines import CART
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simgap.diagnosis.config import KNOWN
-from simgap.diagnosis.inference.noise_effect import NoiseEffect, Spectrum
+from simgap.diagnosis.inference.noise.effect import NoiseEffect, Spectrum
 from simgap.diagnosis.validation.adequacy import Verdict, is_likely
 from simgap.diagnosis.validation.calibration import TERMS, probability, within
 from simgap.diagnosis.validation.indicators import Indicators

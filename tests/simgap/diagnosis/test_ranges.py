@@ -9,9 +9,9 @@ import pytest
 
 from examples.drive import PARAMETERS, Drive
 from simgap.diagnosis.diagnose import diagnose
-from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Model
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import Model
+from simgap.diagnosis.inference.search import posterior
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut

@@ -8,10 +8,11 @@ from test_numerics import known, optimised, posed
 from test_ranges import driven
 
 from examples.drive import Drive
-from simgap.diagnosis.inference import gauss_newton, multistart, posterior
-from simgap.diagnosis.inference.model import Trial, settled
-from simgap.diagnosis.inference.one_more import one_more
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting import gauss_newton, multistart
+from simgap.diagnosis.inference.fitting.model import Trial, settled
+from simgap.diagnosis.inference.search import posterior
+from simgap.diagnosis.inference.search.one_more import one_more
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.effects import CATALOGUE
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS

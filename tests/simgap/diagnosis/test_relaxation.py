@@ -8,7 +8,7 @@ from planted import SPOT
 
 from simgap.diagnosis.hypotheses.place import place_of
 from simgap.diagnosis.inference.explain import explain
-from simgap.diagnosis.inference.relaxation import softly
+from simgap.diagnosis.inference.misfit.relaxation import softly
 from simgap.effects.sites import channel_sites
 from simgap.ground.draw import recorded
 from simgap.ground.machines import CART, PAIR, Machine

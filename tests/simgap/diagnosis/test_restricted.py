@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simgap.diagnosis.config import LEAST_ROWS_OF_REGIME, SILENT
-from simgap.diagnosis.inference.scan import narrowest
+from simgap.diagnosis.inference.evidence.scan import narrowest
 from simgap.effects.regime import EVERYWHERE
 
 SHARE = 0.03

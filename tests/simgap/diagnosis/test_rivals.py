@@ -10,11 +10,11 @@ from small import RICH, acting, problem, sessions
 
 from simgap.diagnosis import diagnose as whole
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.alternatives import _better
-from simgap.diagnosis.inference.model import Model, Trial
-from simgap.diagnosis.inference.onsets import _restrictions
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting.model import Model, Trial
 from simgap.diagnosis.inference.passes import explained
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.search.alternatives import _better
+from simgap.diagnosis.inference.search.onsets import _restrictions
 from simgap.diagnosis.likelihood.problem import evaluate, start
 from simgap.types import Sessions
 

@@ -6,9 +6,9 @@ import pytest
 from planted import PHI, SENSOR
 from small import RICH, problem, sessions
 
-from simgap.diagnosis.inference.noise import noise_effects
-from simgap.diagnosis.inference.noise_effect import NoiseEffect
-from simgap.diagnosis.inference.spectral_line import SEGMENT
+from simgap.diagnosis.inference.noise.effect import NoiseEffect
+from simgap.diagnosis.inference.noise.find import noise_effects
+from simgap.diagnosis.inference.noise.spectral_line import SEGMENT
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.simulators.spot import SCHEMA

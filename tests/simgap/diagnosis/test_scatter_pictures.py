@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simgap.diagnosis.inference.noise_effect import Axis, Between, Spectrum, Widening
+from simgap.diagnosis.inference.noise.effect import Axis, Between, Spectrum, Widening
 from simgap.diagnosis.likelihood.student_t import Noise
 from simgap.diagnosis.report.noise_figures import FEWEST, picture
 from simgap.types import Field

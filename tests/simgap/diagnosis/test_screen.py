@@ -9,9 +9,9 @@ from small import RICH, sessions
 
 from simgap.diagnosis.config import BLOCK, FEW, LEAST_BLOCK, LEVEL
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.null_distribution import Chance, Evidence, blocks, by_chance, weigh
-from simgap.diagnosis.inference.score_test import closer
-from simgap.diagnosis.inference.screening import Screened, Screening
+from simgap.diagnosis.inference.evidence.null_distribution import Chance, Evidence, blocks, by_chance, weigh
+from simgap.diagnosis.inference.evidence.score_test import closer
+from simgap.diagnosis.inference.evidence.screening import Screened, Screening
 from simgap.diagnosis.likelihood.scales import measure
 
 KNOWN = hypotheses_of(SPOT, SCALES)

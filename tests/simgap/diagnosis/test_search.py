@@ -9,10 +9,10 @@ from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.features import inside
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import From, Window
-from simgap.diagnosis.inference import posterior
-from simgap.diagnosis.inference.heldout import agrees
-from simgap.diagnosis.inference.one_more import promising
-from simgap.diagnosis.inference.screening import Screened
+from simgap.diagnosis.inference.evidence.screening import Screened
+from simgap.diagnosis.inference.fitting.heldout import agrees
+from simgap.diagnosis.inference.search import posterior
+from simgap.diagnosis.inference.search.one_more import promising
 from simgap.diagnosis.likelihood.problem import value_of
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.effects import CATALOGUE

@@ -4,7 +4,7 @@ import numpy as np
 from test_experiment import Pair, side_by_side
 from test_numerics import optimised, posed
 
-from simgap.diagnosis.inference.model import Model
+from simgap.diagnosis.inference.fitting.model import Model
 from simgap.diagnosis.likelihood.directions import spans
 from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.report.separation import Run, apart, apart_refitted

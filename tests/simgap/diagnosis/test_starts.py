@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tanks import FIRST, PARAMS, Tanks, recorded
 
+from simgap.diagnosis.inference.fitting.starts import fitted_starts
+from simgap.diagnosis.inference.noise.spectral_line import _share_in_innovations
 from simgap.diagnosis.inference.passes import explained
-from simgap.diagnosis.inference.spectral_line import _share_in_innovations
-from simgap.diagnosis.inference.starts import fitted_starts
 from simgap.diagnosis.likelihood.problem import Fit, Problem, estimates, evaluate, start
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut

@@ -12,10 +12,10 @@ from small import RICH, problem, sessions
 from examples.drive import DRIVE
 from simgap.diagnosis.hypotheses.library import Quantity, dictionary, quantities, values
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.impulse_response import direction, echoes, evidence, hear
-from simgap.diagnosis.inference.model import Model
-from simgap.diagnosis.inference.nonparametric import Law, nonparametric_law
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import Model
+from simgap.diagnosis.inference.misfit.impulse_response import direction, echoes, evidence, hear
+from simgap.diagnosis.inference.misfit.nonparametric import Law, nonparametric_law
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, trials, whitening, with_value
 from simgap.diagnosis.likelihood.scales import measure

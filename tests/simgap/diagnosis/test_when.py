@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from simgap.diagnosis.config import NO_ONSET
 from simgap.diagnosis.hypotheses.support import From, Window
-from simgap.diagnosis.inference.scan import onset
+from simgap.diagnosis.inference.evidence.scan import onset
 from simgap.diagnosis.likelihood.segments import Rows
 
 STEP = 1 / 15

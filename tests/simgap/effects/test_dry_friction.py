@@ -14,7 +14,7 @@ from stated import check_named_alone, stated
 
 from examples.car import CAR
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.one_more import _of_one_kind
+from simgap.diagnosis.inference.search.one_more import _of_one_kind
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.effects import CATALOGUE, dry_friction, hysteresis
 from simgap.effects.augmented import Augmented, Slot

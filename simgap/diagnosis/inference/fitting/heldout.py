@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.inference.starts import begun_anew
+from simgap.diagnosis.inference.fitting.starts import begun_anew
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks, rows_of
 from simgap.diagnosis.likelihood.student_t import log_density

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
+from simgap.diagnosis.inference.evidence.null_distribution import blocks
+from simgap.diagnosis.inference.noise.row_mixture_em import Law, Mixture
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations, replaced, row_trials
 from simgap.effects.augmented import Slot
 from simgap.kinematics import motion

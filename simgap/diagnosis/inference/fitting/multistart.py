@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simgap.diagnosis.inference.gauss_newton import HELD, RENEWALS, hold, refine
-from simgap.diagnosis.inference.model import Trial, settled
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting.gauss_newton import HELD, RENEWALS, hold, refine
+from simgap.diagnosis.inference.fitting.model import Trial, settled
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, value_of
 from simgap.threads import side_by_side

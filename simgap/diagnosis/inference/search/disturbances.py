@@ -9,13 +9,13 @@ from jaxtyping import Float
 from simgap.diagnosis.config import CLEARLY, EXCEPTION, LEAST_SHARE, LEVEL, REQUIRED, SHORTEST_PUSH
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind, within_session
 from simgap.diagnosis.hypotheses.support import ALWAYS, Window, at_start, elsewhere, to_its_end, within
-from simgap.diagnosis.inference.alternatives import Member, member
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Model, Reporter, Trial
-from simgap.diagnosis.inference.one_more import one_more
-from simgap.diagnosis.inference.onsets import with_support
-from simgap.diagnosis.inference.scan import scores, stretch, stretch_by_chance
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.scan import scores, stretch, stretch_by_chance
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, Trial
+from simgap.diagnosis.inference.search.alternatives import Member, member
+from simgap.diagnosis.inference.search.one_more import one_more
+from simgap.diagnosis.inference.search.onsets import with_support
 from simgap.diagnosis.likelihood.problem import evaluate, trials
 from simgap.diagnosis.likelihood.segments import Rows, rows_of
 

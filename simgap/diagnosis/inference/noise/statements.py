@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.inference import row_mixture
-from simgap.diagnosis.inference.noise_effect import Axis, Between, Widening
-from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, growths
-from simgap.diagnosis.inference.row_mixture_em import Mixture
+from simgap.diagnosis.inference.noise import row_mixture
+from simgap.diagnosis.inference.noise.effect import Axis, Between, Widening
+from simgap.diagnosis.inference.noise.row_mixture_em import Mixture
+from simgap.diagnosis.inference.noise.sample import HELD, STALLS, Fitted, Robot, Sample, growths
 from simgap.diagnosis.likelihood.student_t import Noise
 
 SPANS = np.convolve([-1.5, -1.0, -0.5, 0.0, *STALLS, 8.0], [0.5, 0.5], "valid")

@@ -6,9 +6,9 @@ held-out sessions.
 """
 
 from simgap.diagnosis.config import LIKELY
-from simgap.diagnosis.inference.noise_effect import NoiseEffect
-from simgap.diagnosis.inference.noise_rows import of_rows
-from simgap.diagnosis.inference.spectral_line import stepping
+from simgap.diagnosis.inference.noise.effect import NoiseEffect
+from simgap.diagnosis.inference.noise.rows import of_rows
+from simgap.diagnosis.inference.noise.spectral_line import stepping
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import isotonic_regression
 
 from simgap.diagnosis.config import Z95
-from simgap.diagnosis.inference.row_mixture_em import (
+from simgap.diagnosis.inference.noise.row_mixture_em import (
     RENEWED,
     WIDE,
     Law,

@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from simgap.diagnosis.config import LEVEL, MOST_EFFECTS
 from simgap.diagnosis.hypotheses.library import Function, dictionary, quantities, values
-from simgap.diagnosis.inference.heldout import agrees, by_row
-from simgap.diagnosis.inference.impulse_response import Echo, direction, echoes, evidence, hear
-from simgap.diagnosis.inference.model import Model, Reporter, absorbing
-from simgap.diagnosis.inference.null_distribution import Weighed, blocks, by_chance, weigh
-from simgap.diagnosis.inference.score_test import basis_of
+from simgap.diagnosis.inference.evidence.null_distribution import Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.evidence.score_test import basis_of
+from simgap.diagnosis.inference.fitting.heldout import agrees, by_row
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, absorbing
+from simgap.diagnosis.inference.misfit.impulse_response import Echo, direction, echoes, evidence, hear
 from simgap.diagnosis.likelihood.derivatives import nuisance_columns
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.segments import Chunks

@@ -11,9 +11,9 @@ import numpy as np
 
 from simgap.diagnosis.config import LEAST_SHARE, MOST_EFFECTS, MOST_SITES
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.folded import without_sign
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import (
+from simgap.diagnosis.inference.fitting.folded import without_sign
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import (
     SETTLED,
     Found,
     HeldOutCheck,
@@ -25,9 +25,9 @@ from simgap.diagnosis.inference.model import (
     decorrelated,
     least,
 )
-from simgap.diagnosis.inference.one_more import FINALISTS, one_more
-from simgap.diagnosis.inference.relinearise import carried_on, for_all, relinearised, standing
-from simgap.diagnosis.inference.starts import begun_anew
+from simgap.diagnosis.inference.fitting.relinearise import carried_on, for_all, relinearised, standing
+from simgap.diagnosis.inference.fitting.starts import begun_anew
+from simgap.diagnosis.inference.search.one_more import FINALISTS, one_more
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.engines import is_engine
 

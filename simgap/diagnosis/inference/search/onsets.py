@@ -11,14 +11,14 @@ from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_RE
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind
 from simgap.diagnosis.hypotheses.support import ALWAYS, Support, Window, for_heldout, in_words, opened
-from simgap.diagnosis.inference.alternatives import Member
-from simgap.diagnosis.inference.gauss_newton import hold, refine
-from simgap.diagnosis.inference.heldout import gain
-from simgap.diagnosis.inference.model import Model, Reporter, refitted_without, without
-from simgap.diagnosis.inference.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
-from simgap.diagnosis.inference.scan import gain_of, narrowest, onset, scores, stretch
-from simgap.diagnosis.inference.score_test import vary
-from simgap.diagnosis.inference.screening import Screened, Screening
+from simgap.diagnosis.inference.evidence.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.evidence.scan import gain_of, narrowest, onset, scores, stretch
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.evidence.screening import Screened, Screening
+from simgap.diagnosis.inference.fitting.gauss_newton import hold, refine
+from simgap.diagnosis.inference.fitting.heldout import gain
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, refitted_without, without
+from simgap.diagnosis.inference.search.alternatives import Member
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.segments import Chunks, Rows, rows_of
 from simgap.effects.regime import Regime, features

@@ -6,14 +6,14 @@ import numpy as np
 
 from simgap.diagnosis.config import LEAST_SHARE, LEVEL, NEAR
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.gauss_newton import HELD, Held, hold, refine
-from simgap.diagnosis.inference.model import Model, Reporter, Round, Trial, absorbing
-from simgap.diagnosis.inference.multistart import converged
-from simgap.diagnosis.inference.null_distribution import short
-from simgap.diagnosis.inference.posterior import means_another
-from simgap.diagnosis.inference.relaxation import room
-from simgap.diagnosis.inference.score_test import screen, vary
-from simgap.diagnosis.inference.screening import Screened
+from simgap.diagnosis.inference.evidence.null_distribution import short
+from simgap.diagnosis.inference.evidence.score_test import screen, vary
+from simgap.diagnosis.inference.evidence.screening import Screened
+from simgap.diagnosis.inference.fitting.gauss_newton import HELD, Held, hold, refine
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, Round, Trial, absorbing
+from simgap.diagnosis.inference.fitting.multistart import converged
+from simgap.diagnosis.inference.misfit.relaxation import room
+from simgap.diagnosis.inference.search.posterior import means_another
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.student_t import log_density

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.inference.gauss_newton import SHARES, lowest
-from simgap.diagnosis.inference.model import SETTLED
+from simgap.diagnosis.inference.fitting.gauss_newton import SHARES, lowest
+from simgap.diagnosis.inference.fitting.model import SETTLED
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions, prior_offset, room_to_move, step_from
 from simgap.diagnosis.likelihood.filter import Variables

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from simgap.diagnosis.config import LEAST_SHARE
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.gauss_newton import CONVERGED, optimise
-from simgap.diagnosis.inference.screening import Screening
+from simgap.diagnosis.inference.evidence.screening import Screening
+from simgap.diagnosis.inference.fitting.gauss_newton import CONVERGED, optimise
 from simgap.diagnosis.likelihood.derivatives import constant_columns
 from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, start, whitening, with_value
 from simgap.diagnosis.likelihood.student_t import log_density

@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from simgap.diagnosis.config import REQUIRED_OF_NOISE, SET_ASIDE, SURE_OF_NOISE
-from simgap.diagnosis.inference import row_mixture
-from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.model import cost
-from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect
-from simgap.diagnosis.inference.noise_sample import HELD, STALLS, Fitted, Robot, Sample, growths, robot_of, sample_of
-from simgap.diagnosis.inference.noise_statements import late_said, lost_said, uneven_said, wide_said
-from simgap.diagnosis.inference.row_mixture_em import Law, Mixture
+from simgap.diagnosis.inference.fitting.model import cost
+from simgap.diagnosis.inference.noise import row_mixture
+from simgap.diagnosis.inference.noise.effect import OTHER, NoiseEffect
+from simgap.diagnosis.inference.noise.row_mixture_em import Law, Mixture
+from simgap.diagnosis.inference.noise.sample import HELD, STALLS, Fitted, Robot, Sample, growths, robot_of, sample_of
+from simgap.diagnosis.inference.noise.statements import late_said, lost_said, uneven_said, wide_said
+from simgap.diagnosis.inference.search.alternatives import compared
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
 from simgap.diagnosis.likelihood.student_t import Noise, log_density

@@ -7,9 +7,9 @@ import numpy as np
 
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.hypotheses.support import ALWAYS
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import Model, Trial
-from simgap.diagnosis.inference.score_test import vary
+from simgap.diagnosis.inference.evidence.score_test import vary
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import Model, Trial
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start
 from simgap.diagnosis.likelihood.signs import signed
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import SETTLED, Trial
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import SETTLED, Trial
 from simgap.diagnosis.likelihood.directions import bounds_of
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.linearised import tabulated

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from simgap.diagnosis.inference.gauss_newton import ENOUGH, SHARES, lowest
-from simgap.diagnosis.inference.model import settled
-from simgap.diagnosis.inference.one_more import CONTENDER
+from simgap.diagnosis.inference.fitting.gauss_newton import ENOUGH, SHARES, lowest
+from simgap.diagnosis.inference.fitting.model import settled
+from simgap.diagnosis.inference.search.one_more import CONTENDER
 from simgap.diagnosis.likelihood.direct import Driven, driven, innovations
 from simgap.diagnosis.likelihood.directions import CROSS, PRIOR_PRECISION, TRUST, spans
 from simgap.diagnosis.likelihood.filter import Variables, gain_matrix

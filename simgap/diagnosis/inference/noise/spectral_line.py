@@ -8,9 +8,9 @@ from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit
 
 from simgap.diagnosis.config import LINE_LEVEL, REQUIRED_OF_NOISE, STRONGER
-from simgap.diagnosis.inference.alternatives import compared
-from simgap.diagnosis.inference.model import cost
-from simgap.diagnosis.inference.noise_effect import OTHER, NoiseEffect, Spectrum
+from simgap.diagnosis.inference.fitting.model import cost
+from simgap.diagnosis.inference.noise.effect import OTHER, NoiseEffect, Spectrum
+from simgap.diagnosis.inference.search.alternatives import compared
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, raw_innovations
 from simgap.diagnosis.likelihood.segments import Chunks, counted, rows_of
 from simgap.effects.sites import turning

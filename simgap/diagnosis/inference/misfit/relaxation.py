@@ -15,9 +15,9 @@ from simgap.diagnosis.config import DISCREPANCY
 from simgap.diagnosis.hypotheses.library import dictionary, quantities, sent_until, values
 from simgap.diagnosis.hypotheses.place import Place, place_of
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.impulse_response import direction, own_echoes
-from simgap.diagnosis.inference.model import Model, Trial, absorbing, without
-from simgap.diagnosis.inference.score_test import DEPENDENT, basis_of
+from simgap.diagnosis.inference.evidence.score_test import DEPENDENT, basis_of
+from simgap.diagnosis.inference.fitting.model import Model, Trial, absorbing, without
+from simgap.diagnosis.inference.misfit.impulse_response import direction, own_echoes
 from simgap.diagnosis.likelihood.problem import Group, Problem, trials
 from simgap.diagnosis.likelihood.segments import rows_of
 from simgap.diagnosis.likelihood.student_t import weights

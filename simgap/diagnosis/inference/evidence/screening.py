@@ -6,7 +6,7 @@ import numpy as np
 
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.null_distribution import NOTHING, Chance, Evidence
+from simgap.diagnosis.inference.evidence.null_distribution import NOTHING, Chance, Evidence
 
 
 class Screened(NamedTuple):

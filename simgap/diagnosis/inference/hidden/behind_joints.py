@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LIKELY, Z95
-from simgap.diagnosis.inference.alternatives import Member, compared
+from simgap.diagnosis.inference.evidence.null_distribution import blocks
 from simgap.diagnosis.inference.explanation import Explanation, Hidden
-from simgap.diagnosis.inference.hidden import Gains, State, fitted, refitted
-from simgap.diagnosis.inference.model import Model, Reporter, cost, without
-from simgap.diagnosis.inference.nonparametric import no_law
-from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.relinearise import itself
-from simgap.diagnosis.inference.whiteness import Whiteness, whiteness
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, cost, without
+from simgap.diagnosis.inference.fitting.relinearise import itself
+from simgap.diagnosis.inference.hidden.rivals import Gains, State, fitted, refitted
+from simgap.diagnosis.inference.misfit.nonparametric import no_law
+from simgap.diagnosis.inference.misfit.whiteness import Whiteness, whiteness
+from simgap.diagnosis.inference.search.alternatives import Member, compared
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.null_distribution import Evidence
+from simgap.diagnosis.inference.evidence.null_distribution import Evidence
 from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_innovations, with_value
 from simgap.layout import X, Y

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 from simgap.diagnosis.config import AT_BOUND, LEAST_SHARE, Z95
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.hypotheses.support import Window
-from simgap.diagnosis.inference.model import without
-from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.scan import edges_ci95, scores
+from simgap.diagnosis.inference.evidence.null_distribution import blocks
+from simgap.diagnosis.inference.evidence.scan import edges_ci95, scores
+from simgap.diagnosis.inference.fitting.model import without
 from simgap.diagnosis.likelihood.derivatives import constant_columns
 from simgap.diagnosis.likelihood.directions import directions, spans
 from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, trials, value_of

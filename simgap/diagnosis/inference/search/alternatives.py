@@ -8,8 +8,10 @@ from jaxtyping import Float, Int
 
 from simgap.diagnosis.config import LEAST_SHARE
 from simgap.diagnosis.hypotheses.space import Hypothesis
-from simgap.diagnosis.inference.gauss_newton import optimise
-from simgap.diagnosis.inference.model import (
+from simgap.diagnosis.inference.evidence.null_distribution import blocks
+from simgap.diagnosis.inference.evidence.screening import Screening
+from simgap.diagnosis.inference.fitting.gauss_newton import optimise
+from simgap.diagnosis.inference.fitting.model import (
     SETTLED,
     Found,
     HeldOutCheck,
@@ -22,10 +24,8 @@ from simgap.diagnosis.inference.model import (
     refitted_without,
     settled,
 )
-from simgap.diagnosis.inference.null_distribution import blocks
-from simgap.diagnosis.inference.one_more import one_more
-from simgap.diagnosis.inference.posterior import means_another
-from simgap.diagnosis.inference.screening import Screening
+from simgap.diagnosis.inference.search.one_more import one_more
+from simgap.diagnosis.inference.search.posterior import means_another
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density
 

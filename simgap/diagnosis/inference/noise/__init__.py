@@ -1,0 +1,1 @@
+"""Effects that change the noise and not the mean."""

@@ -1,0 +1,1 @@
+"""Which effects, where and when: one more at a time, and each against its alternatives."""
