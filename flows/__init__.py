@@ -23,6 +23,8 @@ _DEFAULTS = {
     "DO_NOT_TRACK": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
+    # MLflow sets the level of its log when it is first imported, which is late.
+    "MLFLOW_LOGGING_LEVEL": "WARNING",
     # Flows say themselves where a run is found.
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     # A server that is gone is reported after half a minute, not after four.

@@ -29,7 +29,7 @@ def _server_is_gone(error: BaseException) -> str | None:
 
 def _quiet_libraries() -> None:
     """Leave warnings and errors of the libraries' logs; drop their chatter, and tracebacks."""
-    for name in ("httpx", "alembic", "distributed", "mlflow", "prefect"):
+    for name in ("httpx", "alembic", "distributed", "prefect"):
         logging.getLogger(name).setLevel(logging.WARNING)
     # A lost server is reported once, not for every retry.
     logging.getLogger("urllib3").setLevel(logging.ERROR)

@@ -136,6 +136,7 @@ def test_a_run_ends_by_saying_where_things_are(finished: tuple[Path, str]) -> No
     assert statement in output
     assert html.escape(statement) in (folder / tail[3].split()[1]).read_text()
     assert "Error encountered" not in output
+    assert " INFO " not in output
     assert "Traceback" not in output
 
 
