@@ -24,19 +24,18 @@ def warnings(diagnosis: dict[str, Any]) -> list[str]:
 
 def improvement(diagnosis: dict[str, Any]) -> str:
     """Improvement over the simulator as it is or refitted, whichever is better, at the longest horizon."""
-    models, names = diagnosis["fit"]["models"], {"nominal": nominal(diagnosis), "refitted": "refitted"}
-    if "augmented" not in models or any("parameters" in e for e in diagnosis["effects"]):
+    models, change = diagnosis["fit"]["models"], diagnosis["fit"]["change"]
+    if change is None or any("parameters" in e for e in diagnosis["effects"]):
         return ""  # what stands in for a hidden state is no improvement to speak of
-    longest = max((m for m in models["augmented"] if m.startswith("error_") and "[" not in m), key=_horizon)
-    better = {score: min(names, key=lambda m: models[m][score]["value"]) for score in (longest, "nll_1")}
-    before, after = (models[m][longest]["value"] for m in (better[longest], "augmented"))
-    gained = models[better["nll_1"]]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]
-    change = diagnosis["fit"]["change"]
-    chance = "" if change is None or clear(change) else ", which may be chance"
+    names = {"nominal": nominal(diagnosis), "refitted": "refitted"}
+    before, after = (models[m][f"error_{change['at']}"]["value"] for m in (change["than"], "augmented"))
+    likelier = min(names, key=lambda m: models[m]["nll_1"]["value"])
+    gained = models[likelier]["nll_1"]["value"] - models["augmented"]["nll_1"]["value"]
+    chance = "" if clear(change) else ", which may be chance"
     return (
-        f" On held-out sessions the error after {steps(_horizon(longest))} goes from {before:.1%} (the simulator "
-        f"{names[better[longest]]}) to {after:.1%} of the motion{chance}; the one-step log-likelihood changes by "
-        f"{gained:+.2f} nats a row against the simulator {names[better['nll_1']]}."
+        f" On held-out sessions the error after {steps(change['at'])} goes from {before:.1%} (the simulator "
+        f"{names[change['than']]}) to {after:.1%} of the motion{chance}; the one-step log-likelihood changes by "
+        f"{gained:+.2f} nats a row against the simulator {names[likelier]}."
     )
 
 
@@ -58,7 +57,3 @@ def _of_motion(error: float) -> str:
 def steps(n: int) -> str:
     """A horizon in words."""
     return "one step" if n == 1 else f"{n} steps"
-
-
-def _horizon(score: str) -> int:
-    return int(score.split("_")[1])
