@@ -9,19 +9,21 @@ from jaxtyping import Float
 from simgap.ground.commands import drawn_commands
 from simgap.ground.families import FAMILIES
 from simgap.ground.laws import Law, Uneven
-from simgap.ground.machines import MACHINES, Machine
+from simgap.ground.machine import Machine
+from simgap.ground.machines import SMALL
 from simgap.ground.names import names_of
+from simgap.ground.spot import SPOT
 from simgap.types import Recording, Sessions
 
+LEGGED = 2000
+"""From this number on the machine is the one with legs and an arm, before it is one of the small ones."""
 USUAL, BRIEF, LONG = (6, 210), (2, 60), (6, 900)
 """Sessions of a case and rows of each, usually, where little and where much was recorded: equal shapes are compiled
 once."""
-SHARE_BRIEF, SHARE_LONG = 0.15, 0.5
-"""Shares of the cases."""
+SHARE_BRIEF = 0.15
+"""Of the cases."""
 FITTED = 2 / 3
 """Of the sessions; the others are held out."""
-FINER = 10
-"""Steps of the machine in a row, by the midpoint rule."""
 KINDS = {"nothing": 0.12, "within": 0.25, "two": 0.08, "outside": 0.15, "mixed": 0.1, "many": 0.3}
 """Shares of the cases by what is left out: nothing; a law that has a name, two of them; one that has none; one of
 either; and `MANY` of any families, as in real machines."""
@@ -31,8 +33,6 @@ STRAIGHT, BENDS = 0.4, (0.9, 4.0)
 """Share of the laws whose strength is even; how much that of the others varies, and its waves per unit, at most."""
 EVERYWHERE = 0.5
 """Share of the laws that act along all axes; the others act along one."""
-SIZES = 0.01, 0.5
-"""Of laws, as shares of usual commands and speeds."""
 SHAKEN, CALM = (0.01, 1.0), 0.3
 """Random changes of the velocities, as a share of what these usually change by from row to row; share of the cases that
 have none."""
@@ -68,7 +68,7 @@ class Case(NamedTuple):
 def draw(number: int) -> Case:
     """The case of that number."""
     rng = np.random.default_rng([20261128, number])
-    machine = MACHINES[rng.integers(len(MACHINES))]
+    machine = SPOT if number >= LEGGED else SMALL[rng.integers(len(SMALL))]
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     return recorded(number, machine, kind, _families(kind, machine, rng))
 
@@ -76,11 +76,12 @@ def draw(number: int) -> Case:
 def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]) -> Case:
     """A case of a machine that has laws of these families; its number decides all the rest."""
     rng = np.random.default_rng([20261129, number])
-    sizes = np.exp(rng.uniform(np.log(SIZES[0]), np.log(SIZES[1]), len(families)))
-    params = _parameters(machine, rng)
-    rate = _rate(machine, params)
+    least, most = np.log(machine.sizes)
+    sizes = np.exp(rng.uniform(least, most, len(families)))
+    params = machine.drawn(rng)
+    rate = machine.rate(params)
     drawn = int(rng.integers(2**32))
-    count, rows = _shape(rng)
+    count, rows = _shape(machine, rng)
     share = 0.0 if rng.random() < CALM else np.exp(rng.uniform(*np.log(SHAKEN)))
     clean, shaken = [], np.zeros(len(machine.velocities))
     for session in range(count):
@@ -105,10 +106,10 @@ def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]
     return Case(number, machine, kind, families, tails, sessions, strength)
 
 
-def _shape(rng: np.random.Generator) -> tuple[int, int]:
+def _shape(machine: Machine, rng: np.random.Generator) -> tuple[int, int]:
     """Sessions and rows of each."""
     place = rng.random()
-    return BRIEF if place < SHARE_BRIEF else LONG if place > 1 - SHARE_LONG else USUAL
+    return BRIEF if place < SHARE_BRIEF else LONG if place > 1 - machine.often_long else USUAL
 
 
 def _strength(
@@ -143,22 +144,10 @@ def _law(machine: Machine, family: str, size: float, rate: float, rng: np.random
     axes = np.ones(count)
     if rng.random() > EVERYWHERE:
         axes = np.eye(count)[rng.integers(count)]
+    if given := FAMILIES[family].axes:
+        axes = np.isin(np.arange(count), given).astype(float)
     depth = 0.0 if rng.random() < STRAIGHT else rng.uniform(0, BENDS[0])
     return Uneven(law, axes, depth, rng.uniform(0.5, BENDS[1]), rng.uniform(0, 2 * np.pi))
-
-
-def _parameters(machine: Machine, rng: np.random.Generator) -> Float[np.ndarray, " p"]:
-    """Anywhere in the inner two thirds of their ranges."""
-    return np.array([p.low + (p.high - p.low) * rng.uniform(1 / 6, 5 / 6) for p in machine.parameters])
-
-
-def _rate(machine: Machine, params: Float[np.ndarray, " p"]) -> float:
-    """Acceleration per unit of command, at rest."""
-    rest = np.zeros(len(machine.schema.state))
-    command = np.eye(len(machine.schema.command))[0]
-    position, velocity = rest[machine.positions], rest[machine.velocities]
-    at = [np.array(machine.acceleration(np, params, position, velocity, u)) for u in (command, 0 * command)]
-    return float(np.abs(at[0] - at[1]).max())
 
 
 class _Clean(NamedTuple):
@@ -178,41 +167,18 @@ def _simulated(
     shakes: Float[np.ndarray, "T v"],
 ) -> _Clean:
     """A session of the machine from rest, without the rows before its recording begins. shakes: of the velocities."""
-    h, positions, velocities = machine.time_step / FINER, machine.positions, machine.velocities
-    state = np.zeros(len(machine.schema.state))
-    states, readings, changes = [], [], []
-    for sent, shake in zip(command, shakes, strict=True):
-        shown = state.copy()
-        for law in laws:
-            shown[velocities] = law.read(shown[velocities], machine.time_step)
+    state = machine.start
+    states, readings, commands, changes = [], [], [], []
+    for drawn, shake in zip(command, shakes, strict=True):
+        sent = machine.sent(drawn, state)
         states.append(state)
-        readings.append(shown)
-        plain = state
-        for _ in range(FINER):
-            arrives = sent
-            for law in laws:
-                arrives = law.command(arrives, h)
-            v = state[velocities]
-            pushed = sum((law.push(state[positions], v, arrives, h) for law in laws), np.zeros(len(v)))
-            state = _after(machine, params, state, arrives, h, pushed)
-            plain = _after(machine, params, plain, sent, h, np.zeros(len(v)))
-        changes.append(state - plain)
-        state = state + machine.of_velocities(shake)
+        commands.append(sent)
+        readings.append(machine.shown(state, laws))
+        after = machine.row(params, state, sent, laws)
+        changes.append(after - machine.row(params, state, sent, ()))
+        state = after + machine.of_velocities(shake)
     kept = slice(WARM, None)
-    return _Clean(np.array(states)[kept], np.array(readings)[kept], command[kept], np.array(changes)[kept])
-
-
-def _after(
-    machine: Machine,
-    params: Float[np.ndarray, " p"],
-    state: Float[np.ndarray, " s"],
-    command: Float[np.ndarray, " u"],
-    h: float,
-    pushed: Float[np.ndarray, " v"],
-) -> Float[np.ndarray, " s"]:
-    """The state one short step later, by the midpoint rule."""
-    middle = state + h / 2 * np.array(machine.derivative(np, params, state, command, pushed))
-    return state + h * np.array(machine.derivative(np, params, middle, command, pushed))
+    return _Clean(np.array(states)[kept], np.array(readings)[kept], np.array(commands)[kept], np.array(changes)[kept])
 
 
 def _measured(

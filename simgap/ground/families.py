@@ -5,33 +5,13 @@ none where the vocabulary has no word for it.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
+from simgap.ground.family import HELD, JOINED, READ, Family, named
 from simgap.ground.laws import Bristles, Fading, Gusts, Late, Law, Play, Push, Ringing, Slow, Static, Tired
-from simgap.ground.machines import MACHINES
+from simgap.ground.legged import LEGGED
 from simgap.ground.readings import Curve, Offset, Old
-
-ALL = tuple(m.name for m in MACHINES)
-HELD = ("servo", "servo_positions", "arm", "arm_positions")
-"""Machines that servos hold at a commanded position."""
-STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair", "pair_left")
-"""Machines whose bodies keep their place."""
-READ = tuple(m.name for m in MACHINES if all(f.observed for f in m.schema.state))
-"""Machines that record the speeds of all their axes."""
-JOINED = tuple(m.name for m in MACHINES if len(m.schema.command) > 1)
-"""Machines with a command for each of several axes."""
-
-
-class Family(NamedTuple):
-    """A kind of missing physics: the effects that name it rightly, and how one of it is drawn, `draw(rng, size, row,
-    rate)`. row: length of a row [s]; rate: the machine's acceleration per unit of command [1/s^2]. machines: those that
-    can have it."""
-
-    names: frozenset[str]
-    draw: Callable[[np.random.Generator, float, float, float], Law]
-    machines: tuple[str, ...] = ALL
 
 
 def _friction(rng: np.random.Generator, size: float, row: float, rate: float) -> Law:  # noqa: ARG001
@@ -194,40 +174,37 @@ def _lopsided(rng: np.random.Generator, size: float, row: float, rate: float) ->
     return Curve(lambda v: v - share * side * np.maximum(side * v, 0.0))
 
 
-def _named(*names: str) -> frozenset[str]:
-    return frozenset(names)
-
-
 FAMILIES: dict[str, Family] = {
-    "friction": Family(_named("coulomb_friction"), _friction),
-    "stribeck": Family(_named(), _stribeck),
-    "under_load": Family(_named(), _under_load),
-    "drag": Family(_named("quadratic_drag"), _drag),
-    "bias": Family(_named("body_frame_bias"), _bias),
-    "delay": Family(_named("delay"), _delay),
-    "lag": Family(_named("lag"), _lag),
-    "dispersion": Family(_named("delay", "lag"), _dispersion),
-    "saturation": Family(_named("saturation"), _saturation),
-    "deadband": Family(_named("deadband"), _deadband),
-    "one_sided": Family(_named("asymmetric_gain"), _one_sided),
-    "rate_limit": Family(_named("rate_limit"), _rate_limit),
-    "play": Family(_named("backlash"), _play),
-    "cogging": Family(_named(), _cogging),
-    "wall": Family(_named(), _wall),
-    "hardening": Family(_named(), _hardening),
-    "product": Family(_named(), _product),
-    "place_gain": Family(_named(), _place_gain),
-    "ringing": Family(_named("resonance"), _ringing),
-    "tired": Family(_named(), _tired),
-    "gusts": Family(_named(), _gusts),
-    "bristles": Family(_named(), _bristles),
+    "friction": Family(named("coulomb_friction"), _friction),
+    "stribeck": Family(named(), _stribeck),
+    "under_load": Family(named(), _under_load),
+    "drag": Family(named("quadratic_drag"), _drag),
+    "bias": Family(named("body_frame_bias"), _bias),
+    "delay": Family(named("delay"), _delay),
+    "lag": Family(named("lag"), _lag),
+    "dispersion": Family(named("delay", "lag"), _dispersion),
+    "saturation": Family(named("saturation"), _saturation),
+    "deadband": Family(named("deadband"), _deadband),
+    "one_sided": Family(named("asymmetric_gain"), _one_sided),
+    "rate_limit": Family(named("rate_limit"), _rate_limit),
+    "play": Family(named("backlash"), _play),
+    "cogging": Family(named(), _cogging),
+    "wall": Family(named(), _wall),
+    "hardening": Family(named(), _hardening),
+    "product": Family(named(), _product),
+    "place_gain": Family(named(), _place_gain),
+    "ringing": Family(named("resonance"), _ringing),
+    "tired": Family(named(), _tired),
+    "gusts": Family(named(), _gusts),
+    "bristles": Family(named(), _bristles),
     # Elsewhere a parameter scales the command alone.
-    "gain": Family(_named("gain"), _gain, (*HELD, "base")),
-    "leak": Family(_named(), _leak, JOINED),
-    "fading": Family(_named("gain_drift"), _fading),
-    "sensor_scale": Family(_named("sensor_scale"), _sensor_scale, READ),
-    "sensor_bias": Family(_named("sensor_bias"), _sensor_bias, READ),
-    "old_reading": Family(_named("sensor_delay"), _old_reading, READ),
-    "lopsided": Family(_named(), _lopsided, READ),
-    "rectified": Family(_named("rectified_sensor"), _rectified, READ),
+    "gain": Family(named("gain"), _gain, (*HELD, "base", "spot")),
+    "leak": Family(named(), _leak, tuple(m for m in JOINED if m != "spot")),
+    "fading": Family(named("gain_drift"), _fading),
+    "sensor_scale": Family(named("sensor_scale"), _sensor_scale, READ),
+    "sensor_bias": Family(named("sensor_bias"), _sensor_bias, tuple(m for m in READ if m != "spot")),
+    "old_reading": Family(named("sensor_delay"), _old_reading, READ),
+    "lopsided": Family(named(), _lopsided, READ),
+    "rectified": Family(named("rectified_sensor"), _rectified, READ),
+    **LEGGED,
 }

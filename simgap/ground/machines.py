@@ -1,84 +1,14 @@
-"""Machines of the training ground: what their simulator knows, for the simulator and for the machine itself.
+"""Machines of the training ground: what their simulators know.
 
-A machine's units are such that usual speeds and commands are near one. Its simulator takes `STEPS` Runge-Kutta
-steps a row: the machine, which takes more, does not differ by its integrator.
+Units of the small ones are such that usual speeds and commands are near one.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
-
+from simgap.ground.machine import Integrated, Machine
+from simgap.ground.spot import SPOT
 from simgap.types import Axis, Field, Kind, Parameter, Schema
-
-STEPS = 2
-"""Of a row, by the classical Runge-Kutta rule."""
-Acceleration = Callable[[Any, Any, Any, Any, Any], list[Any]]
-"""(numpy or jax.numpy, parameters, positions, velocities, commands) -> acceleration of every velocity."""
-Rates = Callable[[Any, Any, Any], list[Any]]
-"""(numpy or jax.numpy, positions, velocities) -> rate of every position."""
-
-
-def _as_they_are(_: Any, position: Any, velocity: Any) -> list[Any]:
-    return [velocity[i] for i in range(len(position))]
-
-
-@dataclass(frozen=True)
-class Machine:
-    """A simulator of the training ground: `StepModel`.
-
-    Positions of all bodies and their velocities are in the order of the state, in which what is not recorded is last.
-    """
-
-    name: str
-    schema: Schema
-    parameters: tuple[Parameter, ...]
-    time_step: float
-    acceleration: Acceleration
-    rates: Rates = _as_they_are
-
-    @cached_property
-    def positions(self) -> list[int]:
-        """Which of the states are positions."""
-        return [i for i, f in enumerate(self.schema.state) if f.kind != "velocity"]
-
-    @cached_property
-    def velocities(self) -> list[int]:
-        """Which of the states are velocities."""
-        return [i for i, f in enumerate(self.schema.state) if f.kind == "velocity"]
-
-    def of_velocities(self, change: Float[np.ndarray, " v"]) -> Float[np.ndarray, " s"]:
-        """A change of the velocities as one of the state."""
-        state = np.zeros(len(self.schema.state))
-        state[self.velocities] = change
-        return state
-
-    def step(
-        self, params: Float[Array, " p"], state: Float[Array, " s"], command: Float[Array, " u"]
-    ) -> Float[Array, " s"]:
-        """The next state."""
-        h = self.time_step / STEPS
-        slope = lambda at: jnp.stack(self.derivative(jnp, params, at, command))  # noqa: E731
-        for _ in range(STEPS):
-            first = slope(state)
-            second = slope(state + h / 2 * first)
-            third = slope(state + h / 2 * second)
-            fourth = slope(state + h * third)
-            state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
-        return state
-
-    def derivative(self, xp: Any, params: Any, state: Any, command: Any, pushed: Any = None) -> list[Any]:
-        """Of the state by time, with `xp` for numpy; `pushed` is added to the accelerations."""
-        q, v = [state[i] for i in self.positions], [state[i] for i in self.velocities]
-        acceleration = self.acceleration(xp, params, q, v, command)
-        if pushed is not None:
-            acceleration = [a + p for a, p in zip(acceleration, pushed, strict=True)]
-        slopes = dict(zip([*self.positions, *self.velocities], [*self.rates(xp, q, v), *acceleration], strict=True))
-        return [slopes[i] for i in range(len(state))]
 
 
 def _axis(name: str, body: str, axis: Axis = "x") -> tuple[Field, Field]:
@@ -166,17 +96,17 @@ _BASE = Schema(
     ),
 )
 
-CART = Machine(
+CART = Integrated(
     "cart", _single("force"), (Parameter("drive", "1/kg", 1.0, 9.0), Parameter("damping", "1/s", 0.5, 6.0)), 0.05, _cart
 )
-SERVO = Machine(
+SERVO = Integrated(
     "servo",
     _single("position"),
     (Parameter("stiffness", "1/s^2", 40.0, 400.0), Parameter("damping", "1/s", 5.0, 30.0)),
     0.02,
     _servo,
 )
-PENDULUM = Machine(
+PENDULUM = Integrated(
     "pendulum",
     _single("force"),
     (
@@ -187,7 +117,7 @@ PENDULUM = Machine(
     0.02,
     _pendulum,
 )
-PAIR = Machine(
+PAIR = Integrated(
     "pair",
     Schema((_LEFT[0], _RIGHT[0], _LEFT[1], _RIGHT[1]), _PUSHED),
     (
@@ -198,7 +128,7 @@ PAIR = Machine(
     0.05,
     _pair,
 )
-PAIR_LEFT = Machine(
+PAIR_LEFT = Integrated(
     "pair_left",
     Schema((*_LEFT, *(replace(f, observed=False) for f in _RIGHT)), _PUSHED),
     # Without a spring nothing that is recorded would tell of the other body.
@@ -206,7 +136,7 @@ PAIR_LEFT = Machine(
     PAIR.time_step,
     _pair,
 )
-BASE = Machine(
+BASE = Integrated(
     "base",
     _BASE,
     (Parameter("response", "1/s", 1.0, 10.0), Parameter("turning", "1/s", 1.0, 10.0)),
@@ -214,7 +144,7 @@ BASE = Machine(
     _base,
     _turned,
 )
-ARM = Machine(
+ARM = Integrated(
     "arm",
     Schema(
         (*(position for position, _, _ in _ARM), *(velocity for _, velocity, _ in _ARM)),
@@ -230,10 +160,11 @@ ARM = Machine(
 )
 
 
-def _without_speeds(machine: Machine) -> Machine:
+def _without_speeds(machine: Integrated) -> Integrated:
     """The same machine, with recordings of its positions only."""
     state = tuple(replace(f, observed=f.kind != "velocity") for f in machine.schema.state)
     return replace(machine, name=f"{machine.name}_positions", schema=Schema(state, machine.schema.command))
 
 
-MACHINES = (CART, SERVO, PENDULUM, PAIR, BASE, ARM, *map(_without_speeds, (SERVO, PENDULUM, ARM)), PAIR_LEFT)
+SMALL = (CART, SERVO, PENDULUM, PAIR, BASE, ARM, *map(_without_speeds, (SERVO, PENDULUM, ARM)), PAIR_LEFT)
+MACHINES: tuple[Machine, ...] = (*SMALL, SPOT)

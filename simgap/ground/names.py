@@ -1,6 +1,7 @@
 """Which effects name a family of the training ground rightly."""
 
-from simgap.ground.families import ALL, FAMILIES, HELD, STAYING
+from simgap.ground.families import FAMILIES
+from simgap.ground.family import ALL, HELD, STAYING
 
 EQUIVALENT = {
     **{(machine, "bias"): "sensor_bias" for machine in HELD},
@@ -12,12 +13,15 @@ EQUIVALENT = {
     **{(machine, "sensor_scale"): "sampling_interval" for machine in ("cart", "servo", "pendulum")},
     **{(machine, family): "sensor_delay" for machine in ALL for family in ("delay", "dispersion")},
     ("base", "leak"): "cross_axis_coupling",
+    ("spot", "gain"): "sensor_scale",
+    ("spot", "sensor_scale"): "gain",
 }
 """On a machine, a further name for a family. A steady push on a servo is an offset of the position that it is held to.
 A spring has a name where a body keeps its place; so has most dry friction. A servo's load is not its command. A servo
 of one axis that goes too far is one whose sensors show too much. Where the only speed is shown too small, a row may be
 longer than is said, and parameters make up for the rest. Late commands are late readings of all sensors. A leak into
-another body has no name."""
+another body has no name. Where parameters scale what positions make of velocities, speeds that are shown too large are
+commands that are followed too far."""
 
 
 def names_of(family: str, machine: str) -> frozenset[str]:
