@@ -118,16 +118,23 @@ class Recording(NamedTuple):
 
 
 class Sessions(NamedTuple):
-    """Recordings by what they serve: fitted to, held out to judge by, and a baseline from before (may be empty)."""
+    """Recordings by what they serve: fitted to, held out to judge by, and a baseline from before (may be empty).
+    exchangeable: whether other sessions may be held out instead, because these were taken by rule."""
 
     training: Sequence[Recording]
     heldout: Sequence[Recording]
     baseline: Sequence[Recording] = ()
+    exchangeable: bool = False
 
     @property
     def fitted(self) -> list[Recording]:
         """All that are fitted to, those of the baseline first."""
         return [*self.baseline, *self.training]
+
+    @property
+    def by_purpose(self) -> dict[str, Sequence[Recording]]:
+        """The sessions of each purpose."""
+        return {"training": self.training, "heldout": self.heldout, "baseline": self.baseline}
 
 
 class Transitions(NamedTuple):
@@ -139,11 +146,8 @@ class Transitions(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A predictive mixture with equal weights, in original units.
-
-    Component l predicts `mean[l]` with independent noise of scale `scale` and tails `dof` (degrees of freedom of a
-    Student t; infinite for Gaussian noise) per output.
-    """
+    """A predictive mixture with equal weights, in original units: component l predicts `mean[l]` with independent noise
+    of scale `scale` and tails `dof` (degrees of freedom of a Student t; infinite for Gaussian noise) per output."""
 
     mean: Float[Array, "L y"]
     scale: Float[Array, " y"]
@@ -199,10 +203,8 @@ class Remembering(Protocol):
 
 
 class Prior(NamedTuple):
-    """Gaussian approximation of a functional prior's marginals at one measurement set X of k points.
-
-    Output i has mean `mean[:, i]` and precision `precision[i]`; where o = 1, one precision serves all outputs.
-    """
+    """Gaussian approximation of a functional prior's marginals at one measurement set X of k points: output i has mean
+    `mean[:, i]` and precision `precision[i]`; where o = 1, one precision serves all outputs."""
 
     mean: Float[Array, "k y"]
     precision: Float[Array, "o k k"]

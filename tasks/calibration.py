@@ -29,7 +29,7 @@ FIT = Path("reports/ground/calibration.json")
 PICTURE = Path("reports/ground/calibration.png")
 LEAST = 100
 """Effects found: with fewer there is nothing to fit."""
-DRAWS = (500, 800, 1100, 1500)
+DRAWS = (500, 800, 1100, 1500, 2000)
 """First cases of the later draws; each draw has other machines, laws or lengths than those before. The 59 cases of the
 fifth count with the fourth."""
 PENALTIES = (0.001, 0.003, 0.01, 0.03, 0.1, 1.0)

@@ -56,10 +56,10 @@ def log_recordings(run: Run, name: str, folders: Folders, sessions: Sessions, se
             "baseline": folders.baseline or "none",
             "seed": seed,
             "transitions": sum(len(r.time_s) - 1 for r in sessions.training),
-            "sessions": {purpose: len(recordings) for purpose, recordings in sessions._asdict().items()},
+            "sessions": {purpose: len(recordings) for purpose, recordings in sessions.by_purpose.items()},
         }
     )
-    for purpose, recordings in sessions._asdict().items():
+    for purpose, recordings in sessions.by_purpose.items():
         if recordings:
             folder = getattr(folders, purpose, None) or folders.recordings
             run.dataset(f"{folder.resolve().name}-{purpose}", folder, digest(recordings), purpose)

@@ -48,7 +48,7 @@ def say_what_is_read(simulator: str, recordings: str, sessions: Sessions, errors
     """Which files are left out, and how many sessions serve which purpose; names of simulator and recordings."""
     for error in errors:
         progress.say(f"left out: {error}")
-    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions._asdict().items() if found)
+    counts = ", ".join(f"{len(found)} {purpose}" for purpose, found in sessions.by_purpose.items() if found)
     progress.say(f"diagnosis of {simulator} on {recordings}: {counts} sessions")
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap import compiled
+from simgap.diagnosis.exchange import explained_or_exchanged
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import for_heldout, opened
 from simgap.diagnosis.inference.explain import explain
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.fitting.model import Reporter
-from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.inference.search.posterior import at_bound
 from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.resolution import dithered, resolution
@@ -86,18 +86,19 @@ def diagnose(
     rng = np.random.default_rng(seed)
     steps = resolution([*sessions.fitted, *sessions.heldout])
     sessions = dithered(sessions, steps, rng.spawn(1)[0])
-    found, sessions = explained(simulator, sessions, rng, report)
+    found, sessions, exchange = explained_or_exchanged(simulator, sessions, rng, report)
     report("scoring on held-out sessions")
     contestants = _contestants(found, rng)
     judged = _judged(found, contestants, sessions)
     problem = found.problem
     seen = sensitivity(problem, found.rounds[0].screening, hypotheses_of(problem.augmented, problem.scales))
     beyond = _beyond_ranges(found, simulator, sessions, rng, report)
-    outcome = written.Outcome(contestants, judged, seen, beyond, conclude(found, judged, seen, beyond, rng))
+    concluded = conclude(found, judged, seen, beyond, rng)
+    outcome = written.Outcome(contestants, judged, seen, beyond, concluded)
     report("designing an experiment that separates the likeliest explanations")
     plan, notes = _experiment(found, sessions.training)
     statement = written.statement(name, found, sessions, outcome, plan, rng)
-    statement["notes"] += [*notes, *in_steps(simulator.schema.outputs, steps)]
+    statement["notes"] += [*exchange, *notes, *in_steps(simulator.schema.outputs, steps)]
     statement["replay"] = _replayed(found, contestants, sessions.heldout)
     evidence = written.evidence(found, sessions, outcome, plan)
     commands = None if plan is None else (plan.experiment.time_s, plan.experiment.commands)

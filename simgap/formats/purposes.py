@@ -102,7 +102,8 @@ def arranged(simulator: StepModel | Engine, given: Purposes) -> Sessions:
         training, held_out = list(recordings.sessions), _apart(heldout, recordings.sessions)
     else:
         training, held_out = split(recordings.sessions)
-    return Sessions(training, held_out, _apart(baseline, [*training, *held_out]) if baseline else [])
+    before = _apart(baseline, [*training, *held_out]) if baseline else []
+    return Sessions(training, held_out, before, exchangeable=not heldout and len(recordings.sessions) > 1)
 
 
 def _apart(given: Given, others: Sequence[Recording]) -> list[Recording]:

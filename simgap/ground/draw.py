@@ -101,7 +101,7 @@ def recorded(number: int, machine: Machine, kind: str, families: tuple[str, ...]
     tails = str(rng.choice(["gaussian", "student_t", "laplace", "quantised"]))
     recordings = [_measured(f"session_{i:02d}", machine, c, scale, tails, rng) for i, c in enumerate(clean)]
     fitted = int(FITTED * count)
-    sessions = Sessions(recordings[:fitted], recordings[fitted:])
+    sessions = Sessions(recordings[:fitted], recordings[fitted:], exchangeable=True)
     strength = _strength(machine, clean[:fitted], scale, np.hypot(scale, machine.of_velocities(shaken)))
     return Case(number, machine, kind, families, tails, sessions, strength)
 

@@ -160,7 +160,8 @@ def tables(recordings: list[Recording]) -> dict[str, pd.DataFrame]:
 
 
 def same(a: Sessions, b: Sessions) -> bool:
-    pairs = [(x, y) for one, other in zip(a, b, strict=True) for x, y in zip(one, other, strict=True)]
+    parts = a.by_purpose.values(), b.by_purpose.values()
+    pairs = [(x, y) for one, other in zip(*parts, strict=True) for x, y in zip(one, other, strict=True)]
     return all(np.array_equal(x, y) for r, q in pairs for x, y in zip(r[1:], q[1:], strict=True))
 
 
@@ -181,7 +182,8 @@ def test_recordings_are_the_same_in_every_form(folder: Path, asked: list[Any]) -
     assert all(same(first, other[2]) for other in others)
     simgap.diagnose(DRIVE, named["drive_01"], heldout=recordings[1], baseline=[named["drive_03"]])
     sessions = asked[-1][2]
-    assert [[r.name for r in part] for part in sessions] == [["session_1"], ["drive_02"], ["baseline/session_1"]]
+    names = [[r.name for r in part] for part in sessions.by_purpose.values()]
+    assert names == [["session_1"], ["drive_02"], ["baseline/session_1"]]
 
 
 def test_a_file_that_cannot_be_used_is_left_out(tmp_path: Path, asked: list[Any]) -> None:

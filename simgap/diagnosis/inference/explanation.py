@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.support import ALWAYS, Support
+from simgap.diagnosis.inference.evidence.screening import Screened
 from simgap.diagnosis.inference.fitting.model import Round
 from simgap.diagnosis.inference.misfit.nonparametric import Law
 from simgap.diagnosis.inference.misfit.whiteness import Whiteness, named_share
@@ -48,7 +49,8 @@ class Explanation(NamedTuple):
     apart from the effects. unseen: held-out rows with the gates of the supports. supports: of effects that do not act
     throughout. rounds: the hypotheses tried. baseline: number of its sessions. With any, `whiteness` is what exceeds
     theirs, and no nonparametric law is searched for. unsettled: ids of effects that the search before did not find,
-    although it was the last one. hidden: states behind joints that the simulator has no word for.
+    although it was the last one. hidden: states behind joints that the simulator has no word for. elsewhere: the
+    hypothesis that held-out sessions support most, if they show what the fitted ones do not.
     """
 
     problem: Problem
@@ -66,6 +68,7 @@ class Explanation(NamedTuple):
     baseline: int
     unsettled: frozenset[str] = frozenset()
     hidden: tuple[Hidden, ...] = ()
+    elsewhere: Screened | None = None
 
     def stands_in(self, member: Member) -> bool:
         """Whether an effect only stands in for a hidden state that is named."""

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from simgap.recordings import each
 from simgap.types import Recording, Sessions
 
 ON_GRID, EXACT = 0.99, 0.01
@@ -51,4 +52,4 @@ def dithered(sessions: Sessions, steps: Float[np.ndarray, " s"], rng: np.random.
 
     if not steps.any():
         return sessions
-    return Sessions(*([one(r) for r in part] for part in sessions))
+    return each(sessions, one)

@@ -21,6 +21,7 @@ from simgap.effects.effect import Scales
 from simgap.effects.stepping import Given, next_state
 from simgap.engines import Engine, is_engine
 from simgap.layout import Layout
+from simgap.recordings import each
 from simgap.types import Recording, Sessions, StepModel
 
 SLOPE_ROWS = 2
@@ -32,7 +33,7 @@ def guessed(simulator: StepModel | Engine, sessions: Sessions) -> Sessions:
     augmented = Augmented(simulator)
     if augmented.layout.observed.all():
         return sessions
-    return Sessions(*([_guessed(augmented, r) for r in recordings] for recordings in sessions))
+    return each(sessions, lambda r: _guessed(augmented, r))
 
 
 def _guessed(augmented: Augmented, recording: Recording) -> Recording:

@@ -70,7 +70,7 @@ def statement(
 ) -> dict[str, Any]:
     """The diagnosis in plain values, in the layout of diagnosis.json."""
     problem, concluded = found.problem, outcome.concluded
-    verdict, share = concluded.verdict, concluded.share
+    verdict, share, only = concluded.verdict, concluded.share, found.elsewhere
     # If no effect is named, the residuals are those of the refitted simulator.
     whiteness = whiteness_of(problem, found.base, found.baseline) if verdict == "unexplained" else found.whiteness
     effects = [_effect(found, i, concluded, sessions.fitted) for i, named in enumerate(concluded.named) if named]
@@ -88,6 +88,7 @@ def statement(
             "heldout_sessions": [r.name for r in sessions.heldout],
             "baseline": [r.name for r in sessions.baseline] or None,
             "transitions": scorable(sessions.fitted), "searched": int(np.asarray(problem.chunks.counts).sum()),
+            "heldout_only": only and {"effect": only.hypothesis.effect.id, "where": only.hypothesis.where},
             "duration_s": float(sum(r.time_s[-1] - r.time_s[0] for r in (*sessions.fitted, *sessions.heldout))),
         },
         "located": located(found, sessions.fitted, verdict, outcome.black_box, whiteness),

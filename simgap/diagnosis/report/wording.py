@@ -69,6 +69,13 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
             "the held-out sessions are too short to score a forecast",
             f"Record held-out sessions of at least {diagnosis['fit']['least_rows']} rows",
         )
+    if shown := diagnosis["recordings"]["heldout_only"]:
+        sessions = listed(diagnosis["recordings"]["heldout_sessions"])
+        add(
+            f"held-out sessions ({sessions}) show what the fitted ones do not, most like {title(shown['effect'])} on "
+            f"{shown['where']}",
+            "Give such sessions among those that are fitted, or record more like them",
+        )
     if beyond := diagnosis["parameters"]["beyond"]:
         low, high = ({name: ends[k] for name, ends in diagnosis["parameters"]["ranges"].items()} for k in (0, 1))
         values = [f"{n} = {number(v)} (range {number(low[n])} to {number(high[n])})" for n, v in beyond.items()]

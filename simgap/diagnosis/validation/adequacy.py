@@ -111,7 +111,7 @@ def _verdict(found: Explanation, named: bool, more: bool, moved: bool, seen: Sen
         return "unexplained"
     if found.noise_effects:
         return "missing_physics"
-    if seen.undetectable_effects or seen.unexcited_channels:
+    if seen.undetectable_effects or seen.unexcited_channels or found.elsewhere:
         return "inconclusive"
     return "parameters_only" if moved else "nothing"
 

@@ -21,16 +21,16 @@ class Term(NamedTuple):
     high: float
 
 
-INTERCEPT = 0.33
+INTERCEPT = 0.28
 TERMS = {
-    "gain": Term(0.23, 2.0, 9.0),
-    "lesser": Term(-0.11, 0.0, 5.0),
+    "gain": Term(0.24, 2.0, 9.0),
+    "lesser": Term(-0.08, 0.0, 5.0),
     "misfit": Term(-0.23, 0.0, 7.0),
-    "bending": Term(-0.85, 0.0, 1.0),
-    "heldout": Term(0.41, -1.0, 2.0),
+    "bending": Term(-0.94, 0.0, 1.0),
+    "heldout": Term(0.42, -1.0, 2.0),
     "next_row": Term(-0.24, -3.0, 1.0),
-    "far": Term(-0.76, -3.0, 1.0),
-    "nameless": Term(-1.01, 0.0, 1.0),
+    "far": Term(-0.78, -3.0, 1.0),
+    "nameless": Term(-1.03, 0.0, 1.0),
     "rivals": Term(-0.07, 0.0, 3.0),
     "mistaken": Term(-0.99, -2.0, 2.5),
 }

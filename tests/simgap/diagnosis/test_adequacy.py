@@ -108,7 +108,7 @@ def test_noise_about_a_refit_that_forecasts_worse_is_no_finding(refit: float, ve
     heldout = {"nominal": judged(noise(0)), "refitted": judged(refitted), "black_box": judged(refitted)}
     nothing: Any = SimpleNamespace(nats=np.zeros(1), terms=())
     found: Any = SimpleNamespace(members=(), noise_effects=[SimpleNamespace(predictable=False)], baseline=0,
-                                 hidden=(), whiteness=nothing, law=nothing)  # fmt: skip
+                                 hidden=(), whiteness=nothing, law=nothing, elsewhere=None)  # fmt: skip
     seen: Any = SimpleNamespace(few=False, undetectable_effects=(), unexcited_channels=())
     rng = np.random.default_rng(0)
     assert conclude(found, Judgement(heldout, heldout, ()), seen, None, rng).verdict == verdict

@@ -64,7 +64,7 @@ def test_it_is_a_probability_and_beyond_experience_that_at_its_end(of: Indicator
 
 def test_what_scales_the_simulator_is_mistaken_more_often_than_a_limit() -> None:
     assert mistaken("asymmetric_gain") > mistaken("sensor_scale") > mistaken("saturation") > mistaken("rate_limit")
-    assert mistaken("gravity_sag") == np.log(USUAL)
+    assert mistaken("slope") == np.log(USUAL)
     assert all(TERMS["mistaken"].low <= mistaken(name) <= TERMS["mistaken"].high for name in PER_HUNDRED)
 
 
