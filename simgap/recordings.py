@@ -1,6 +1,6 @@
 """What makes a recording usable, and how sessions become rows for learning [Hoffman et al. 2025, Data Collection]."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from simgap.types import Recording, RecordingError, Schema, Sessions, Transitions
+from simgap.types import Recording, RecordingError, Schema, Transitions
 
 HISTORY = 2
 """Past commands appended to the state: u_{t-2}, u_{t-1} [Hoffman et al. 2025, Data Collection]."""
@@ -158,19 +158,6 @@ def normalise(
 ) -> tuple[Float[Array, "N x"], Float[Array, "N y"]]:
     """Inputs and outputs less their mean, in units of their standard deviation."""
     return (x - stats.x_mean) / stats.x_std, (y - stats.y_mean) / stats.y_std
-
-
-def each(sessions: Sessions, change: Callable[[Recording], Recording]) -> Sessions:
-    """The sessions with every recording changed."""
-    return sessions._replace(**{purpose: [change(r) for r in part] for purpose, part in sessions.by_purpose.items()})
-
-
-def exchanged(sessions: Sessions) -> Sessions:
-    """The held-out sessions fitted, and as many of those that were fitted, at equal distances, held out instead."""
-    training, heldout = sessions.training, sessions.heldout
-    held = set(np.linspace(0, len(training) - 1, min(len(heldout), len(training))).round().astype(int).tolist())
-    kept = [r for i, r in enumerate(training) if i not in held]
-    return sessions._replace(training=[*kept, *heldout], heldout=[training[i] for i in sorted(held)])
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:

@@ -75,10 +75,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Schema:
-    """The columns of a robot's recordings, in order.
-
-    `mounts`: pairs (body, carrier), where a body is mounted on another and turns with it, as a hand on a base.
-    """
+    """The columns of a robot's recordings, in order. `mounts`: pairs (body, carrier), where a body is mounted on another
+    and turns with it, as a hand on a base."""
 
     state: tuple[Field, ...]
     command: tuple[Field, ...]
@@ -102,10 +100,8 @@ class Schema:
     @property
     def encoded(self) -> tuple[str, ...]:
         """Names of the encoded state: every angle replaced by its sine and its cosine."""
-        names: list[str] = []
-        for field in self.state:
-            names += [f"sin_{field.name}", f"cos_{field.name}"] if field.kind == "angle" else [field.name]
-        return tuple(names)
+        pairs = ((f"sin_{f.name}", f"cos_{f.name}") if f.kind == "angle" else (f.name,) for f in self.state)
+        return tuple(name for names in pairs for name in names)
 
 
 class Recording(NamedTuple):
@@ -135,6 +131,10 @@ class Sessions(NamedTuple):
     def by_purpose(self) -> dict[str, Sequence[Recording]]:
         """The sessions of each purpose."""
         return {"training": self.training, "heldout": self.heldout, "baseline": self.baseline}
+
+    def each(self, change: Callable[[Recording], Recording]) -> Sessions:
+        """The sessions with every recording changed."""
+        return self._replace(**{purpose: [change(r) for r in part] for purpose, part in self.by_purpose.items()})
 
 
 class Transitions(NamedTuple):

@@ -8,8 +8,15 @@ from simgap.diagnosis.inference.passes import explained
 from simgap.diagnosis.report.names import listed, title
 from simgap.diagnosis.validation.heldout_only import heldout_only
 from simgap.engines import Engine
-from simgap.recordings import exchanged
 from simgap.types import Sessions, StepModel
+
+
+def exchanged(sessions: Sessions) -> Sessions:
+    """The held-out sessions fitted, and as many of those that were fitted, at equal distances, held out instead."""
+    training, heldout = sessions.training, sessions.heldout
+    held = set(np.linspace(0, len(training) - 1, min(len(heldout), len(training))).round().astype(int).tolist())
+    kept = [r for i, r in enumerate(training) if i not in held]
+    return sessions._replace(training=[*kept, *heldout], heldout=[training[i] for i in sorted(held)])
 
 
 def explained_or_exchanged(

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from simgap.recordings import each
 from simgap.types import Recording, Sessions
 
 ON_GRID, EXACT = 0.99, 0.01
@@ -52,4 +51,4 @@ def dithered(sessions: Sessions, steps: Float[np.ndarray, " s"], rng: np.random.
 
     if not steps.any():
         return sessions
-    return each(sessions, one)
+    return sessions.each(one)

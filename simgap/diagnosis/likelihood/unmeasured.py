@@ -21,7 +21,6 @@ from simgap.effects.effect import Scales
 from simgap.effects.stepping import Given, next_state
 from simgap.engines import Engine, is_engine
 from simgap.layout import Layout
-from simgap.recordings import each
 from simgap.types import Recording, Sessions, StepModel
 
 SLOPE_ROWS = 2
@@ -33,7 +32,7 @@ def guessed(simulator: StepModel | Engine, sessions: Sessions) -> Sessions:
     augmented = Augmented(simulator)
     if augmented.layout.observed.all():
         return sessions
-    return each(sessions, lambda r: _guessed(augmented, r))
+    return sessions.each(lambda r: _guessed(augmented, r))
 
 
 def _guessed(augmented: Augmented, recording: Recording) -> Recording:

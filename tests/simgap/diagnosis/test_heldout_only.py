@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from simgap.diagnosis.diagnose import diagnose
+from simgap.diagnosis.exchange import exchanged
 from simgap.ground.machines import CART
-from simgap.recordings import exchanged
 from simgap.types import Recording, Sessions
 
 ROWS, LIMIT = 200, 0.8

@@ -49,7 +49,7 @@ def test_rows_at_rest_have_the_noise_of_a_step_and_others_are_as_they_were() -> 
     noisy = motion() + 1e-3 * rng.normal(size=ROWS)
     recorded = recording(step * np.round(motion() / step), noisy)
     steps = resolution([recorded])
-    ((after,), _, _) = dithered(Sessions([recorded], []), steps, rng)
+    ((after,), *_) = dithered(Sessions([recorded], []), steps, rng)
     np.testing.assert_array_equal(after.state[:, 1], noisy)
     assert np.abs(after.state[:, 0] - recorded.state[:, 0]).max() <= step / 2
     assert (np.round(after.state[:, 0] / step) == np.round(recorded.state[:, 0] / step)).all()
