@@ -75,8 +75,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Schema:
-    """The columns of a robot's recordings, in order. `mounts`: pairs (body, carrier), where a body is mounted on another
-    and turns with it, as a hand on a base."""
+    """The columns of a robot's recordings, in order. `mounts`: pairs (body, carrier), where a body is mounted on
+    another and turns with it, as a hand on a base."""
 
     state: tuple[Field, ...]
     command: tuple[Field, ...]

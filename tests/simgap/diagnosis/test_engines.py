@@ -129,7 +129,7 @@ def test_a_velocity_without_a_column_is_guessed_and_no_measurement() -> None:
     layout = Augmented(engine).layout
     assert [f.name for f in layout.schema.outputs] == [f"{j}_pos" for j in JOINTS]
     assert layout.schema.columns == ("time_s", "shoulder_pos", "elbow_pos", "cmd_shoulder", "cmd_elbow")
-    ((full,), _, _) = guessed(engine, Sessions([measured], []))
+    ((full,), *_) = guessed(engine, Sessions([measured], []))
     np.testing.assert_array_equal(full.state[:, :2], measured.state)
     assert np.corrcoef(full.state[:, 2], whole.state[:, 2])[0, 1] > 0.95
 
