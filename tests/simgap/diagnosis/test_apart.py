@@ -19,7 +19,7 @@ def test_it_is_guessed_by_the_simulator_and_corrected_by_what_is_measured() -> N
     layout = Layout(SCHEMA)
     assert layout.apart.tolist() == [False, True]
     assert layout.akin == ((1, 0),)
-    (first, *_), _, _ = guessed(Tanks(), recorded())
+    (first, *_), *_ = guessed(Tanks(), recorded())
     # Twenty rows later the level of a leaking tank depends little on where it began.
     flows = np.sqrt(first.state[20:, 1])
     assert np.corrcoef(flows, np.sqrt(np.maximum(first.state[20:, 0], 0)))[0, 1] > 0.5
