@@ -47,7 +47,8 @@ def diagnose(
     simulator: an object with `schema`, `parameters`, `time_step` and `step`, or an `Engine`; or its name, `spot` or
     `package.module:name`; or the path of an MJCF or URDF, as it is or as a `ModelFile` with servos. recordings: a
     folder, or several of experiments with one machine, or sessions as tables with the schema's columns, `time_s` first.
-    heldout: sessions for validation; without them, every fourth of `recordings` is held out (the last of fewer).
+    heldout: sessions for validation; without them, every fourth of `recordings` is held out (the last of fewer), or
+    others, if these alone show something.
     baseline: sessions from before the machine changed; the diagnosis then finds what changed since. progress: is called
     with a line of text at every step.
 

@@ -32,7 +32,7 @@ def what(statement: Values, figures: Figures) -> dict[str, Any]:
     shares = [{"name": o["name"], "share": numbers.percent(o["share"])} for o in residuals.get("outputs") or []]
     return {
         "cards": [_card(e, figures) for e in wording.by_importance(effects)],
-        "none": "" if effects else wording.NO_EFFECTS.get(str(statement["verdict"]), "No effect was found."),
+        "none": "" if effects else wording.no_effects(statement),
         "insufficient": (statement["verdict"] == "inconclusive" and statement.get("insufficient")) or [],
         "matches": [
             {"says": e.get("statement", ""), "gain": numbers.fixed(e.get("gain_nats"), 1)}

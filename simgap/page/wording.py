@@ -6,7 +6,7 @@ from typing import Any
 
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.report.forecasts import clear, rises
-from simgap.diagnosis.report.names import by_certainty, listed, outside, title
+from simgap.diagnosis.report.names import by_certainty, either, listed, outside, tied, title
 from simgap.diagnosis.report.wording import NO_COMMANDS
 from simgap.page.marks import MODELS
 from simgap.page.numbers import DASH, fixed, interval, known, number, percent
@@ -37,11 +37,6 @@ NO_EFFECTS = {
 }
 
 
-def either(effect: Values) -> str:
-    """An effect and its alternatives: the names in its credible set."""
-    return " or ".join(title(m) for m in effect.get("credible_set") or [effect["id"]])
-
-
 def elsewhere(effect: Values) -> str:
     """Probability that the cause is another one than the names, unless it is small."""
     return percent(other) if (other := outside(effect)) else ""
@@ -60,8 +55,10 @@ def by_importance(effects: Sequence[Values]) -> list[Values]:
 def headline(statement: Values) -> str:
     """What is missing, in at most `HEADLINE_WORDS` words."""
     verdict, effects = str(statement["verdict"]), by_importance(statement.get("effects") or [])
+    if ties := _ties(statement):
+        return _shortened(f"Missing in the simulator, though these recordings cannot tell which: {either(ties[0])}.")
     if verdict != "missing_physics" or not effects:
-        return " ".join(_HEADLINES.get(verdict, VERDICTS.get(verdict, verdict)).split()[:HEADLINE_WORDS])
+        return _shortened(_HEADLINES.get(verdict, VERDICTS.get(verdict, verdict)))
     certain, likely = (list(dict.fromkeys(map(either, e))) for e in by_certainty(effects))
     more = " Something else is missing too." if more_is_missing(statement) else ""
     shorter_and_shorter = (
@@ -69,6 +66,23 @@ def headline(statement: Values) -> str:
         for shown in range(len(certain) + len(likely), -1, -1)
     )
     return next(text for text in shorter_and_shorter if len(text.split()) <= HEADLINE_WORDS)
+
+
+def _ties(statement: Values) -> list[Values]:
+    """Effects of which one is missing, where none has a name: the most important first."""
+    unexplained = statement["verdict"] == "unexplained"
+    return tied(by_importance(statement.get("closest_matches") or [])) if unexplained else []
+
+
+def no_effects(statement: Values) -> str:
+    """Why no effect is named."""
+    if ties := _ties(statement):
+        return f"One of several effects is missing, and these recordings cannot tell which: {either(ties[0])}."
+    return NO_EFFECTS.get(str(statement["verdict"]), "No effect was found.")
+
+
+def _shortened(text: str) -> str:
+    return " ".join(text.split()[:HEADLINE_WORDS])
 
 
 def _missing(certain: Sequence[str], likely: Sequence[str]) -> str:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from simgap.diagnosis.config import CREDIBLE
+from simgap.diagnosis.config import CREDIBLE, KNOWN, LIKELY
 from simgap.types import Field
 
 LISTED = 6
@@ -48,6 +48,17 @@ def by_certainty(effects: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str
     for effect in effects:
         (likely if outside(effect) else certain).append(effect)
     return certain, likely
+
+
+def tied(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Effects without a name although the cause is likely one of several: none of these is likely by itself."""
+    likely = (e for e in effects if (e.get("outside") or 0.0) <= 1 - KNOWN)
+    return [e for e in likely if len(e["credible_set"]) > 1 and e["probability"] < LIKELY]
+
+
+def either(effect: Mapping[str, Any]) -> str:
+    """An effect and its alternatives: the names in its credible set."""
+    return " or ".join(title(m) for m in effect.get("credible_set") or [effect["id"]])
 
 
 def in_steps(outputs: Sequence[Field], steps: Iterable[float]) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report import forecasts
 from simgap.diagnosis.report.experiment import RUNS, Experiment
-from simgap.diagnosis.report.names import by_certainty, listed, number, outside, quantity, title
+from simgap.diagnosis.report.names import by_certainty, either, listed, number, outside, quantity, tied, title
 from simgap.effects import CATALOGUE
 
 
@@ -100,8 +100,8 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
 def statement(diagnosis: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
     lines = _VERDICTS[diagnosis["verdict"]](diagnosis)
-    if diagnosis["closest_matches"]:
-        matches = " ".join(e["statement"] for e in diagnosis["closest_matches"])
+    ties = _ties(diagnosis)
+    if matches := " ".join(e["statement"] for e in diagnosis["closest_matches"] if e not in ties):
         lines += f" Closest match, which explains only part of the mismatch: {matches}"
     if diagnosis["verdict"] == "missing_physics":
         lines += forecasts.improvement(diagnosis)
@@ -141,12 +141,25 @@ def _inconclusive(diagnosis: dict[str, Any]) -> str:
     return f"Cannot say whether physics is missing: {reasons}. {remedies}.{moved}"
 
 
+def _ties(diagnosis: dict[str, Any]) -> list[Mapping[str, Any]]:
+    """Effects of which one is missing, where none has a name."""
+    return tied(diagnosis["closest_matches"]) if diagnosis["verdict"] == "unexplained" else []
+
+
+def _tie(effect: Mapping[str, Any]) -> str:
+    return (
+        f"With a probability of {1 - effect['outside']:.0%} this is missing: {either(effect)}; the recordings cannot "
+        f"tell which. If it is {title(effect['id'])}: {effect['statement']}"
+    )
+
+
 def _unexplained(diagnosis: dict[str, Any]) -> str:
     where = ", ".join(o["name"] for o in diagnosis["located"]["outputs"][:3])
     depends = ", ".join(d["input"] for d in diagnosis["located"]["depends_on"][:3])
     better_at = diagnosis["fit"]["black_box_better_at"]
+    first = " ".join(map(_tie, _ties(diagnosis))) or "Something is missing that none of the known effects explains."
     return (
-        "Something is missing that none of the known effects explains."
+        first
         + (f" It shows in {where}." if where else "")
         + (f" It depends most on {depends}." if depends else "")
         + (f" On held-out sessions a black box predicts better after {listed([forecasts.steps(h) for h in better_at])}."

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simgap.diagnosis.report import wording
 from simgap.page import drawings as diagnosis_plots
 from simgap.page.diagnosis import page
 
@@ -355,6 +356,42 @@ def test_an_unexplained_mismatch_is_still_located(pages: dict[str, str]) -> None
     assert "Unexplained mismatch" in said
     assert "none of the known effects explains; section 1 says where it shows" in said
     assert "It is greatest in ee_vx: 56 %" in said
+
+
+def undecided(outside: float, probability: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Unexplained, with one closest match that has three names."""
+    diagnosis, evidence = unexplained()
+    match = copy.deepcopy(missing_physics()[0]["effects"][0])
+    match |= {
+        "id": "gain",
+        "credible_set": ["gain", "viscous_drag", "sensor_scale"],
+        "outside": outside,
+        "probability": probability,
+        "statement": "Commands are followed by a factor of 0.9 (cmd_ee_vz).",
+    }
+    located = {"depends_on": []} | diagnosis["located"]
+    fit = {"black_box_better_at": []} | diagnosis["fit"]
+    return diagnosis | {"closest_matches": [match], "located": located, "fit": fit}, evidence
+
+
+def test_where_one_of_several_effects_is_missing_the_page_says_so() -> None:
+    """None has a name of its own. That no effect explains it would be false."""
+    diagnosis, evidence = undecided(outside=0.4, probability=0.2)
+    said = text(page(diagnosis, evidence))
+    assert "though these recordings cannot tell which: gain or viscous drag or sensor scale." in said
+    assert "none of the known effects" not in said
+    assert wording.statement(diagnosis).startswith(
+        "With a probability of 60% this is missing: gain or viscous drag or sensor scale; the recordings cannot tell "
+        "which. If it is gain: Commands are followed by a factor of 0.9 (cmd_ee_vz)."
+    )
+    assert "Closest match" not in wording.statement(diagnosis)
+
+
+@pytest.mark.parametrize(("outside", "probability"), [(0.6, 0.15), (0.4, 0.4)])
+def test_a_match_whose_cause_is_likelier_another_one_is_no_tie(outside: float, probability: float) -> None:
+    diagnosis, evidence = undecided(outside, probability)
+    assert "none of the known effects explains" in text(page(diagnosis, evidence))
+    assert "Closest match, which explains only part of the mismatch: Commands" in wording.statement(diagnosis)
 
 
 @pytest.mark.parametrize("hostile", ["<b>x", '"><script>alert(1)</script>', "&amp;", "$\\frac{", "' onload='x"])
