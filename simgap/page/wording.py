@@ -56,7 +56,7 @@ def headline(statement: Values) -> str:
     """What is missing, in at most `HEADLINE_WORDS` words."""
     verdict, effects = str(statement["verdict"]), by_importance(statement.get("effects") or [])
     if ties := _ties(statement):
-        return _shortened(f"Missing in the simulator, though these recordings cannot tell which: {either(ties[0])}.")
+        return _shortened(f"One of these is probably missing: {either(ties[0])}. These recordings cannot tell which.")
     if verdict != "missing_physics" or not effects:
         return _shortened(_HEADLINES.get(verdict, VERDICTS.get(verdict, verdict)))
     certain, likely = (list(dict.fromkeys(map(either, e))) for e in by_certainty(effects))
@@ -117,6 +117,11 @@ def certainty(statement: Values) -> list[str]:
     verdict, effects = statement["verdict"], statement.get("effects") or []
     undecided = [e for e in by_importance(effects) if len(e.get("credible_set") or []) > 1]
     lines = [f"{either(e)}: these recordings cannot decide which." for e in undecided]
+    lines += [
+        f"With a probability of {percent(1 - e['outside'])} it is {either(e)}; none by itself has more than "
+        f"{percent(e['probability'])}."
+        for e in _ties(statement)
+    ]
     doubtful = [e for e in by_importance(effects) if elsewhere(e)]
     lines += [f"{either(e)}: with a probability of {elsewhere(e)} the cause is another one." for e in doubtful]
     if verdict == "inconclusive":
@@ -199,7 +204,7 @@ def to_do(statement: Values) -> list[str]:
         ],
         "parameters_only": ["Use the refitted parameters of section 5."],
         "nothing": ["Nothing has to change."],
-        "unexplained": [_look(statement.get("located") or {})],
+        "unexplained": [_to_check(_ties(statement)) or _look(statement.get("located") or {})],
         "inconclusive": [f"{r['remedy']}." for r in statement.get("insufficient") or []],
     }.get(verdict, [])
     if verdict == "unexplained" and statement.get("closest_matches"):

@@ -57,8 +57,9 @@ def tied(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def either(effect: Mapping[str, Any]) -> str:
-    """An effect and its alternatives: the names in its credible set."""
-    return " or ".join(title(m) for m in effect.get("credible_set") or [effect["id"]])
+    """An effect and its alternatives, the names in its credible set: `a, b or c`."""
+    *others, last = [title(m) for m in effect.get("credible_set") or [effect["id"]]]
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def in_steps(outputs: Sequence[Field], steps: Iterable[float]) -> list[str]:

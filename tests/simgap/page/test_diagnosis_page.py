@@ -378,10 +378,13 @@ def test_where_one_of_several_effects_is_missing_the_page_says_so() -> None:
     """None has a name of its own. That no effect explains it would be false."""
     diagnosis, evidence = undecided(outside=0.4, probability=0.2)
     said = text(page(diagnosis, evidence))
-    assert "though these recordings cannot tell which: gain or viscous drag or sensor scale." in said
+    names = "gain, viscous drag or sensor scale"
+    assert f"One of these is probably missing: {names}. These recordings cannot tell which." in said
+    assert f"With a probability of 60 % it is {names}; none by itself has more than 20 %." in said
+    assert f"Check on the machine: {names} is likely, not certain." in said
     assert "none of the known effects" not in said
     assert wording.statement(diagnosis).startswith(
-        "With a probability of 60% this is missing: gain or viscous drag or sensor scale; the recordings cannot tell "
+        "With a probability of 60% this is missing: gain, viscous drag or sensor scale; the recordings cannot tell "
         "which. If it is gain: Commands are followed by a factor of 0.9 (cmd_ee_vz)."
     )
     assert "Closest match" not in wording.statement(diagnosis)
