@@ -199,6 +199,7 @@ FAMILIES: dict[str, Family] = {
     "bristles": Family(named(), _bristles),
     # Elsewhere a parameter scales the command alone.
     "gain": Family(named("gain"), _gain, (*HELD, "base", "spot")),
+    # A leak of the Spot would cross its bodies, and a steady offset of a velocity in the world is a parameter of it.
     "leak": Family(named(), _leak, tuple(m for m in JOINED if m != "spot")),
     "fading": Family(named("gain_drift"), _fading),
     "sensor_scale": Family(named("sensor_scale"), _sensor_scale, READ),

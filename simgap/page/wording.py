@@ -69,9 +69,7 @@ def headline(statement: Values) -> str:
 
 
 def _ties(statement: Values) -> list[Values]:
-    """Effects of which one is missing, where none has a name: the most important first."""
-    unexplained = statement["verdict"] == "unexplained"
-    return tied(by_importance(statement.get("closest_matches") or [])) if unexplained else []
+    return by_importance(tied(statement))
 
 
 def no_effects(statement: Values) -> str:

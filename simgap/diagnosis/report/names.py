@@ -50,8 +50,9 @@ def by_certainty(effects: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str
     return certain, likely
 
 
-def tied(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Effects without a name although the cause is likely one of several: none of these is likely by itself."""
+def tied(diagnosis: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Effects of which one is likely missing, where none has a name: none of them is likely by itself."""
+    effects = (diagnosis.get("closest_matches") or []) if diagnosis["verdict"] == "unexplained" else []
     likely = (e for e in effects if (e.get("outside") or 0.0) <= 1 - KNOWN)
     return [e for e in likely if len(e["credible_set"]) > 1 and e["probability"] < LIKELY]
 

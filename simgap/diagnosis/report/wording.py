@@ -100,7 +100,7 @@ def insufficient(diagnosis: dict[str, Any]) -> list[dict[str, str]]:
 def statement(diagnosis: dict[str, Any]) -> str:
     """The diagnosis in a few sentences."""
     lines = _VERDICTS[diagnosis["verdict"]](diagnosis)
-    ties = _ties(diagnosis)
+    ties = tied(diagnosis)
     if matches := " ".join(e["statement"] for e in diagnosis["closest_matches"] if e not in ties):
         lines += f" Closest match, which explains only part of the mismatch: {matches}"
     if diagnosis["verdict"] == "missing_physics":
@@ -141,11 +141,6 @@ def _inconclusive(diagnosis: dict[str, Any]) -> str:
     return f"Cannot say whether physics is missing: {reasons}. {remedies}.{moved}"
 
 
-def _ties(diagnosis: dict[str, Any]) -> list[Mapping[str, Any]]:
-    """Effects of which one is missing, where none has a name."""
-    return tied(diagnosis["closest_matches"]) if diagnosis["verdict"] == "unexplained" else []
-
-
 def _tie(effect: Mapping[str, Any]) -> str:
     return (
         f"With a probability of {1 - effect['outside']:.0%} this is missing: {either(effect)}; the recordings cannot "
@@ -157,7 +152,7 @@ def _unexplained(diagnosis: dict[str, Any]) -> str:
     where = ", ".join(o["name"] for o in diagnosis["located"]["outputs"][:3])
     depends = ", ".join(d["input"] for d in diagnosis["located"]["depends_on"][:3])
     better_at = diagnosis["fit"]["black_box_better_at"]
-    first = " ".join(map(_tie, _ties(diagnosis))) or "Something is missing that none of the known effects explains."
+    first = " ".join(map(_tie, tied(diagnosis))) or "Something is missing that none of the known effects explains."
     return (
         first
         + (f" It shows in {where}." if where else "")
