@@ -9,6 +9,7 @@ from planted import SCALES, SPOT
 from small import RICH, acting, problem, sessions
 
 from simgap.diagnosis import diagnose as whole
+from simgap.diagnosis import exchange
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.evidence.score_test import vary
 from simgap.diagnosis.inference.fitting.model import Model, Trial
@@ -77,7 +78,7 @@ def test_what_only_the_last_search_found_is_no_name(monkeypatch: pytest.MonkeyPa
         found, recorded = explained(*given)
         return found._replace(unsettled=frozenset({"delay"})), recorded
 
-    monkeypatch.setattr(whole, "explained", last_of_three)
+    monkeypatch.setattr(exchange, "explained", last_of_three)
     said = whole.diagnose(
         SPOT.simulator, "spot", Sessions(*sessions(acting("delay", (1.4,), (0, 1, 2)), RICH))
     ).statement
