@@ -59,9 +59,10 @@ def once() -> dict[str, float]:
     problem = Problem(augmented, measure(augmented, recordings), cut(recordings, Spot().time_step), np.eye(12))
     v, (free, _) = start(problem), directions(problem, ())
     along = free.phi[:16], free.gain[:16], free.cross[:16]
+    sent = filtered(augmented, problem.scales, v, problem.chunks, v.phi).sent
     programs = {
-        "innovations": (filtered, (augmented, problem.scales, v, problem.chunks)),
-        "derivatives": (tangents, (augmented, problem.scales, v, along, problem.chunks)),
+        "innovations": (filtered, (augmented, problem.scales, v, problem.chunks, v.phi)),
+        "derivatives": (tangents, (augmented, problem.scales, v, along, problem.chunks, sent)),
     }
     spent: dict[str, float] = {}
     for name, (program, arguments) in programs.items():

@@ -21,9 +21,16 @@ _Bends = dict[str, Float[Array, "b 4"]]
 """The memory of every law of hysteresis, by key."""
 
 
+def fading(augmented: Augmented, phi: Float[Array, " p"], theta: Theta, active: Active = None) -> Float[Array, " u"]:
+    """How fast the early part of a row is forgotten, per command; `NEVER` where no law on their way asks for it."""
+    if augmented.laws(theta, active, "command", "filter") and not is_engine(augmented.simulator):
+        return fading_of(augmented.simulator, augmented.layout, phi)
+    return jnp.full(len(augmented.layout.schema.command), NEVER)
+
+
 def remember(
     augmented: Augmented,
-    phi: Float[Array, " p"],
+    forgets: Float[Array, " u"],
     theta: Theta,
     state: Float[Array, " s"],
     earlier: Earlier,
@@ -31,6 +38,7 @@ def remember(
     active: Active = None,
 ) -> Memory:
     """Memory at a start, from more than HISTORY_ROWS earlier commands; sensors are taken to have seen `state` alone.
+    forgets: `fading`.
 
     Play and lags remember long, so the command path first runs over all earlier commands, for filters that outlast a
     rest over what each turned at before these as well. Hysteresis runs over the earlier states.
@@ -39,14 +47,8 @@ def remember(
     filters = augmented.laws(theta, active, "filter")
     sent = past[::-1]
     first = sent[HISTORY_ROWS - 1 :: -1]
-    states = jnp.tile(state, (SENSED_ROWS, 1))
-    bent = _bent(augmented, augmented.laws(theta, active, "hysteresis"), state, earlier.states)
+    bent, states = remember_motion(augmented, theta, state, earlier, active)
     row = Row(time_s, jnp.ones(()))
-    on_the_way = augmented.laws(theta, active, "command", "filter")
-    if on_the_way and not is_engine(augmented.simulator):
-        forgets = fading_of(augmented.simulator, augmented.layout, phi)
-    else:
-        forgets = jnp.full_like(past[0], NEVER)
 
     def run(memory: Memory, commands: Float[Array, "n u"]) -> Memory:
         return jax.lax.scan(lambda m, u: (follow(augmented, theta, m, u, row, active)[0], None), memory, commands)[0]
@@ -71,6 +73,14 @@ def remember(
 
     filter_states = _if_any(filters, settled, rested(past[0]))
     return Memory(past[:HISTORY_ROWS], filter_states, bent, states, forgets)
+
+
+def remember_motion(
+    augmented: Augmented, theta: Theta, state: Float[Array, " s"], earlier: Earlier, active: Active = None
+) -> tuple[_Bends, Float[Array, "r s"]]:
+    """The memory of motion at a start: `Memory.bent` and `Memory.states`."""
+    bent = _bent(augmented, augmented.laws(theta, active, "hysteresis"), state, earlier.states)
+    return bent, jnp.tile(state, (SENSED_ROWS, 1))
 
 
 def _bent(
@@ -150,15 +160,29 @@ def advance(
     row: Row,
     active: Active = None,
 ) -> tuple[Memory, Float[Array, " s"]]:
-    """The next state and memory.
-
-    In order: the command path (`follow`); which velocity is remembered ("before"); the simulator's own step, with the
-    terms of an engine ("engine"); the pushes, from the motion before and after that step ("push", "friction",
-    "hysteresis"), and the step again with them; how positions advance and what stops them ("after").
-    """
-    layout = augmented.layout
+    """The next state and memory: the command path (`follow`), then the motion (`move`)."""
     memory, u = follow(augmented, theta, memory, command, row, active)
-    start = state
+    return move(augmented, phi, theta, scales, memory, state, u, row, active)
+
+
+def move(
+    augmented: Augmented,
+    phi: Float[Array, " p"],
+    theta: Theta,
+    scales: Scales,
+    memory: Memory,
+    state: Float[Array, " s"],
+    u: Float[Array, "... u"],
+    row: Row,
+    active: Active = None,
+) -> tuple[Memory, Float[Array, " s"]]:
+    """The next state, and the memory of motion, with the command u that acts.
+
+    In order: which velocity is remembered ("before"); the simulator's own step, with the terms of an engine ("engine");
+    the pushes, from the motion before and after that step ("push", "friction", "hysteresis"), and the step again with
+    them; how positions advance and what stops them ("after").
+    """
+    layout, start = augmented.layout, state
     for law in augmented.laws(theta, active, "before"):
         start = law(start, start, layout, scales)
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import HISTORY_ROWS, SENSED_ROWS, Earlier, Place, Row, Scales
 from simgap.effects.regime import Acting, Regime, holds
-from simgap.effects.step import advance, remember, sense, unsense
+from simgap.effects.step import advance, fading, remember, sense, unsense
 from simgap.recordings import HISTORY
 from simgap.types import Parameter, Schema, Simulator
 
@@ -125,7 +125,8 @@ class AugmentedSimulator:
         start = unsense(augmented, theta, state, row.time_s)
         rates = augmented.layout.integrates
         moved = jnp.where(rates >= 0, SETTLING * self.time_step * start[rates], 0.0)
-        memory = remember(augmented, params, theta, start, Earlier(past, states=(start - moved)[None]), row.time_s)
+        forgets, earlier = fading(augmented, params, theta), Earlier(past, states=(start - moved)[None])
+        memory = remember(augmented, forgets, theta, start, earlier, row.time_s)
         memory, then = advance(augmented, params, theta, self.scales, memory, start, commands[-1], row)
         at_rest = memory._replace(states=jnp.tile(then, (SENSED_ROWS, 1)))
         # The next step needs the sign.

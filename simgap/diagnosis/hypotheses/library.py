@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.features import seen, seen_names
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.layout import Layout, X, Y
 from simgap.rows import by_row
 

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from simgap.diagnosis.likelihood.directions import bounds_of, directions, room_to_move, step_from
-from simgap.diagnosis.likelihood.filter import Variables, tangents
-from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, trials, value_of, with_value
+from simgap.diagnosis.likelihood.directions import bounds_of, directions, room_to_move, spans, step_from
+from simgap.diagnosis.likelihood.filter import filtered, tangents
+from simgap.diagnosis.likelihood.problem import Group, Problem, decorrelate, replaced, trials, value_of, with_value
+from simgap.diagnosis.likelihood.sent import fading_by_phi
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.threads import side_by_side
 
 BATCH = 16
@@ -15,6 +17,8 @@ BATCH = 16
 FEW = 0
 """With at most this many effects, the program of derivatives omits the laws of all others. With one friction it
 compiles in half the time that all laws take, but a search tries many combinations."""
+SENT_STEP = 0.01
+"""Step of the central differences for a parameter on which the commands that act depend, as a share of its range."""
 STEP = 0.02
 """Step of the central differences for a constant, as a share of its size plus its scale."""
 PHI_STEP = 1e-3
@@ -28,17 +32,40 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
     """
     free, _ = directions(problem, ())
     count, lean = len(free.phi), problem.augmented.lean(FEW, v.theta, v.delta)
+    sent = filtered(lean, problem.scales, v, problem.chunks, v.phi).sent
 
     def batch(first: int) -> np.ndarray:
         # Pad the last batch by repetition.
         index = np.minimum(np.arange(first, first + BATCH), count - 1)
         along = free.phi[index], free.gain[index], free.cross[index]
-        raw = tangents(lean, problem.scales, v, along, problem.chunks)
+        raw = tangents(lean, problem.scales, v, along, problem.chunks, sent)
         return decorrelate(problem, raw)[: count - first]
 
     columns = np.concatenate(side_by_side(batch, range(0, count, BATCH)))
+    by_sent = _by_sent(problem._replace(augmented=lean), v)
+    columns[: len(spans(problem))] += by_sent
     invalid = np.flatnonzero(~_bounded(columns))
     return _replace_invalid(columns, invalid, _differences(problem, v, invalid)) if len(invalid) else columns
+
+
+def _by_sent(problem: Problem, v: Variables) -> Float[np.ndarray, "p n s"]:
+    """Derivatives of the innovations by phi (in ranges) through the commands that act.
+
+    These depend on phi by how fast each is forgotten within a row, so smoothly that central differences are exact
+    enough, and only where there are laws on their way.
+    """
+    augmented, units = problem.augmented, spans(problem)
+    columns = np.zeros((len(units), int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)), np.float32)
+    on = np.any([theta != 0 for theta in (v.theta, *v.delta)], axis=0)
+    if not {augmented.catalogue[effect].place for effect in augmented.effect_of[on]} & {"command", "filter"}:
+        return columns
+    moving = np.asarray(fading_by_phi(augmented, v)).any(0)
+    for k in np.flatnonzero(moving).tolist():
+        ends = [replaced(v.phi, [k], v.phi[k] + by * SENT_STEP * units[k]) for by in (1, -1)]
+        raw = (filtered(augmented, problem.scales, v, problem.chunks, phi).innovations for phi in ends)
+        ahead, back = (decorrelate(problem, np.asarray(e)) for e in raw)
+        columns[k] = (ahead - back) / (2 * SENT_STEP)
+    return columns
 
 
 def _bounded(columns: Float[np.ndarray, "M n s"]) -> Bool[np.ndarray, " M"]:

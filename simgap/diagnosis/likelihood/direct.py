@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, sent_of, terms_in_rows
 from simgap.diagnosis.likelihood.problem import Problem, decorrelate
+from simgap.diagnosis.likelihood.sent import sent_of, terms_in_rows
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.engines import Engine, no_effort
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Group, Problem, replaced, value_of, with_value
+from simgap.diagnosis.likelihood.variables import Variables
 
 TRUST = (0.0, 1.0)
 """Bounds of K's diagonal: the share of an innovation by which the state estimate is corrected."""

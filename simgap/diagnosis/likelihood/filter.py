@@ -12,7 +12,6 @@ if no physics is missing. K is constant in the bodies' own frames.
 An unmeasured state has no innovation; the others correct it through the off-diagonal entries.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -22,30 +21,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks, bare
-from simgap.diagnosis.likelihood.traced import advance, remember, sensed
+from simgap.diagnosis.likelihood.sent import begun_of, each_of, sent_by
+from simgap.diagnosis.likelihood.traced import fading, move, remember_motion, sensed
+from simgap.diagnosis.likelihood.variables import Variables, acting
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
-from simgap.effects.step import follow, unsense
-from simgap.effects.stepping import terms_of
+from simgap.effects.step import unsense
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 
 LEAST_SLOPE = 0.05
 """Slope of a sensor below which its innovations are not divided by it."""
-
-
-class Variables(NamedTuple):
-    """All that can be fitted.
-
-    phi: simulator parameters. gain: diagonal of K. cross: its off-diagonal entries (`Layout.akin`). theta: effects'
-    constants. delta: how much these differ where each of S supports is open.
-    """
-
-    phi: Float[np.ndarray, " p"]
-    gain: Float[np.ndarray, " s"]
-    cross: Float[np.ndarray, " c"]
-    theta: Float[np.ndarray, " P"]
-    delta: Float[np.ndarray, "S P"]
 
 
 def innovation(augmented: Augmented, y: Float[Array, "... s"], seen: Float[Array, "... s"]) -> Float[Array, "... s"]:
@@ -87,101 +73,79 @@ def corrected(
     return x + to_world(layout, K @ to_own_frame(layout, e, x), x)
 
 
-def acting(v: Variables, theta: Theta, gate: Sequence[Float[Array, ""]] | Float[Array, " S"]) -> Theta:
-    """Constants in one row: theta + sum_s gate_s delta_s."""
-    for s in range(len(v.delta)):
-        theta = theta + gate[s] * v.delta[s]
-    return theta
-
-
 def _filter_segment(
-    augmented: Augmented, scales: Scales, v: Variables, active: Active, chunk: Chunks, other: Theta | None = None
+    augmented: Augmented,
+    scales: Scales,
+    v: Variables,
+    thetas: Float[Array, "k P"],
+    active: Active,
+    chunk: Chunks,
+    begun: tuple[Memory, Float[Array, " s"]],
+    sent: Float[Array, "T-1 k ... u"],
 ) -> tuple[Float[Array, "T-1 s"], Float[Array, "T-1 o"]]:
-    """State estimates at the beginning of the steps, and innovations, of one segment (without its leading axis C).
+    """State estimates at the beginning of the steps, and innovations, of one segment.
 
-    With `other` constants, each innovation is that of its own step taken with these, and all earlier steps with v's.
+    Each innovation is that of its own step taken with the last of `thetas`, and all earlier steps with the first.
     """
     K, phi = gain_matrix(augmented, scales, v), jnp.asarray(v.phi)
-    at_start = acting(v, v.theta, chunk.gate[:, 0])
-    first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
-    memory = remember(augmented, phi, at_start, first, chunk.earlier, chunk.time_s[0], active)
 
     def row(carry, now):
         memory, x = carry
-        y_next, u, time_s, next_s, interval, gate, table = now
+        y_next, sent, time_s, next_s, interval, gate, table = now
 
-        def step(theta: Theta) -> tuple[Memory, *tuple[Float[Array, " s"], ...]]:
+        def step(theta: Theta, u: Float[Array, "... u"]) -> tuple[Memory, *tuple[Float[Array, " s"], ...]]:
             here, theta = Row(time_s, interval, table), acting(v, theta, gate)
-            after, predicted = advance(augmented, phi, theta, scales, memory, x, u, here, active)
+            after, predicted = move(augmented, phi, theta, scales, memory, x, u, here, active)
             seen, slope = sensed(augmented, theta, after, predicted, here._replace(time_s=next_s), active)
             return after, predicted, innovation(augmented, y_next, seen), slope
 
-        if other is None:
-            after, predicted, e, slope = step(v.theta)
-            reported = e
-        else:
-            # Map over both sets of constants, so that the step is compiled once.
-            both = jax.lax.map(step, jnp.stack([v.theta, other]))
-            after, predicted, e, slope = jax.tree.map(lambda a: a[0], both)
-            _, _, innovations, _ = both
-            reported = innovations[1]
+        each = each_of(step, thetas, sent)
+        after, predicted, e, slope = jax.tree.map(lambda a: a[0], each)
+        reported = each[2][-1]
         outputs = len(augmented.layout.schema.outputs)
         return (after, corrected(augmented.layout, K, predicted, in_state(e, slope))), (x, reported[:outputs])
 
     times = (chunk.time_s[:-1], chunk.time_s[1:])
-    rows = (chunk.state[1:], chunk.command[:-1], *times, chunk.interval[:-1], chunk.gate[:, :-1].T, chunk.table)
-    return jax.lax.scan(row, (memory, first), rows)[1]
+    rows = (chunk.state[1:], sent, *times, chunk.interval[:-1], chunk.gate[:, :-1].T, chunk.table)
+    return jax.lax.scan(row, begun, rows)[1]
 
 
-@partial(jax.jit, static_argnames="augmented")
-def filtered(
-    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks
-) -> tuple[Float[Array, "C T-1 s"], Float[Array, "C T-1 o"]]:
-    """State estimates at the beginning of the steps, and innovations of the observed outputs in their units.
+class Filtered(NamedTuple):
+    """State estimates at the beginning of the steps, innovations of the observed outputs in their units, and the
+    commands that act. Of all rows, including those that are not scored."""
 
-    Of all rows, including those that are not scored.
-    """
-    active = augmented.active(v.theta, *v.delta)
-    return jax.vmap(lambda chunk: _filter_segment(augmented, scales, v, active, chunk))(bare(chunks))
+    states: Float[Array, "C T-1 s"]
+    innovations: Float[Array, "C T-1 o"]
+    sent: Float[Array, "C T-1 ... u"]
 
 
-def terms_in_rows(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[np.ndarray, "C T-1 k"]:
-    """An engine's terms in each row."""
+def _filtered(
+    augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks, phi: Float[Array, " p"], *others: Theta
+) -> Filtered:
+    """phi: of the fading, so of the commands that act. others: each innovation is that of its own step with these."""
+    active, thetas = augmented.active(v.theta, *v.delta, *others), jnp.stack([jnp.asarray(v.theta), *others])
+    forgets = fading(augmented, phi, v.theta, active)
 
-    def terms(gate: Float[Array, " S"]) -> Float[Array, " k"]:
-        values = terms_of(augmented, acting(v, v.theta, gate))
-        assert values is not None  # an engine has them
-        return values
-
-    return np.asarray(jax.vmap(jax.vmap(terms))(jnp.swapaxes(chunks.gate[..., :-1], 1, 2)))
-
-
-@partial(jax.jit, static_argnames="augmented")
-def sent_of(augmented: Augmented, v: Variables, chunks: Chunks) -> Float[Array, "C T-1 parts u"]:
-    """Commands that act in each part of an engine's rows."""
-    active = augmented.active(v.theta, *v.delta)
-
-    def one(chunk: Chunks) -> Float[Array, "T-1 parts u"]:
-        at_start = acting(v, v.theta, chunk.gate[:, 0])
-        memory = remember(
-            augmented, jnp.asarray(v.phi), at_start, chunk.state[0], chunk.earlier, chunk.time_s[0], active
+    def one(chunk: Chunks) -> Filtered:
+        memory, first = begun_of(augmented, v, forgets, active, chunk)
+        sent = sent_by(augmented, v, thetas, active, chunk, memory)
+        return Filtered(
+            *_filter_segment(augmented, scales, v, thetas, active, chunk, (memory, first), sent), sent[:, 0]
         )
 
-        def row(memory: Memory, now: tuple) -> tuple[Memory, Float[Array, "parts u"]]:
-            u, time_s, interval, gate = now
-            return follow(augmented, acting(v, v.theta, gate), memory, u, Row(time_s, interval), active)
+    return jax.vmap(one)(bare(chunks))
 
-        rows = (chunk.command[:-1], chunk.time_s[:-1], chunk.interval[:-1], chunk.gate[:, :-1].T)
-        return jax.lax.scan(row, memory, rows)[1]
 
-    return jax.vmap(one)(bare(chunks)._replace(table=None))
+@partial(jax.jit, static_argnames="augmented")
+def filtered(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks, phi: Float[Array, " p"]) -> Filtered:
+    """The filter's result. phi: on which the commands that act depend: that of v, but for its derivatives."""
+    return _filtered(augmented, scales, v, chunks, jnp.asarray(phi))
 
 
 @partial(jax.jit, static_argnames="augmented")
 def alone(augmented: Augmented, scales: Scales, v: Variables, theta: Theta, chunks: Chunks) -> Float[Array, "C T-1 o"]:
     """Innovations, each with its own step taken with constants `theta` and all earlier steps with those of v."""
-    active = augmented.active(v.theta, *v.delta, theta)
-    return jax.vmap(lambda chunk: _filter_segment(augmented, scales, v, active, chunk, theta)[1])(bare(chunks))
+    return _filtered(augmented, scales, v, chunks, jnp.asarray(v.phi), jnp.asarray(theta)).innovations
 
 
 @partial(jax.jit, static_argnames="augmented")
@@ -191,13 +155,25 @@ def tangents(
     v: Variables,
     directions: tuple[Float[Array, "M p"], Float[Array, "M s"], Float[Array, "M c"]],
     chunks: Chunks,
+    sent: Float[Array, "C T-1 ... u"],
 ) -> Float[Array, "M C T-1 o"]:
-    """Derivatives of the innovations along M directions in phi and K (its diagonal, its off-diagonal entries)."""
-    active, counts = augmented.active(v.theta, *v.delta), chunks.counts[..., None]
+    """Derivatives of the innovations along M directions in phi and K (its diagonal, its off-diagonal entries).
+
+    sent: the commands that act. They are held: to differentiate the laws on their way as well would take half of the
+    time to compile, though they depend on phi by the fading alone (see `filtered`).
+    """
+    active, counts, thetas = augmented.active(v.theta, *v.delta), chunks.counts[..., None], jnp.asarray(v.theta)[None]
 
     def at(phi: Float[Array, " p"], gain: Float[Array, " s"], cross: Float[Array, " c"]) -> Float[Array, "C T-1 o"]:
         moved = v._replace(phi=phi, gain=gain, cross=cross)
-        _, e = jax.vmap(lambda chunk: _filter_segment(augmented, scales, moved, active, chunk))(bare(chunks))
-        return jnp.where(counts, e, 0.0)
+
+        def one(chunk: Chunks, sent: Float[Array, "T-1 ... u"]) -> Float[Array, "T-1 o"]:
+            at_start = acting(v, v.theta, chunk.gate[:, 0])
+            first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
+            bent, states = remember_motion(augmented, at_start, first, chunk.earlier, active)
+            begun = Memory(chunk.command[:0], {}, bent, states, chunk.command[0]), first
+            return _filter_segment(augmented, scales, moved, thetas, active, chunk, begun, sent[:, None])[1]
+
+        return jnp.where(counts, jax.vmap(one)(bare(chunks), sent), 0.0)
 
     return jax.vmap(lambda *along: jax.jvp(at, (v.phi, v.gain, v.cross), along)[1])(*directions)

@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from simgap.diagnosis.likelihood.filter import Variables, filtered, sent_of, terms_in_rows
+from simgap.diagnosis.likelihood.filter import filtered
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.diagnosis.likelihood.sent import terms_in_rows
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects.augmented import Augmented
 from simgap.effects.stepping import terms_of
 from simgap.engines import Table, is_engine
@@ -28,7 +30,7 @@ def tabulated(
     if not is_engine(engine):
         return chunks
     chunks = chunks._replace(table=None)
-    (state, _), command = filtered(augmented, problem.scales, v, chunks), sent_of(augmented, v, chunks)
+    state, _, command = filtered(augmented, problem.scales, v, chunks, v.phi)
     # Where an estimate is not finite, use the measured state.
     x = np.where(np.isfinite(state), np.asarray(state), np.asarray(chunks.state)[:, :-1])
     scored = np.asarray(chunks.counts).any(1)  # the others are padding

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from simgap.diagnosis.likelihood.filter import Variables, alone, filtered
+from simgap.diagnosis.likelihood.filter import alone, filtered
 from simgap.diagnosis.likelihood.segments import Chunks, counted
 from simgap.diagnosis.likelihood.student_t import NORMAL_MAD, Noise, fit_noise, log_density
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.threads import side_by_side
@@ -134,12 +135,12 @@ def raw_innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"
 
 def _innovations(problem: Problem, v: Variables) -> Float[np.ndarray, "C t o"]:
     """The same, with whatever the filter gives in rows that are not scored."""
-    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks)[1])
+    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks, v.phi).innovations)
 
 
 def estimates(problem: Problem, v: Variables) -> Float[np.ndarray, "C t s"]:
     """State estimates at the beginning of the steps, including rows that are not scored."""
-    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks)[0])
+    return np.asarray(filtered(problem.augmented, problem.scales, v, problem.chunks, v.phi).states)
 
 
 def trials(problem: Problem, vs: Sequence[Variables]) -> Float[np.ndarray, "M n s"]:

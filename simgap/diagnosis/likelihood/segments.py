@@ -28,7 +28,7 @@ TURNS = 12
 MOST, MOST_OF_ENGINE = 16_000, 1_600
 """Rows at most that are searched, and those with an engine, whose tables take a hundred evaluations a row. What only
 more rows would show is smaller than the misfit of any law on a real machine."""
-FEWEST, FEW, SIZES = 16, 32, 4
+FEWEST, FEW, SIZES = 16, 16, 4
 """Least number of segments, the next number, and how many numbers there are between one power of two and the next.
 Segments are padded to these numbers, so that recording sets of similar size share compiled code."""
 

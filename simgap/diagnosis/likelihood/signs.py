@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Problem, trials
 from simgap.diagnosis.likelihood.segments import until_last
 from simgap.diagnosis.likelihood.student_t import fit_noise, log_density
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects.augmented import Augmented
 
 

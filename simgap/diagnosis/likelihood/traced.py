@@ -8,6 +8,7 @@ import jax
 
 from simgap.effects import step
 
-advance, remember, sensed = (
-    jax.jit(f, static_argnames="augmented") for f in (step.advance, step.remember, step.sensed)
+fading, remember, remember_motion, follow, move, advance, sensed = (
+    jax.jit(f, static_argnames="augmented")
+    for f in (step.fading, step.remember, step.remember_motion, step.follow, step.move, step.advance, step.sensed)
 )

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, filtered
+from simgap.diagnosis.likelihood.filter import filtered
 from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
 from simgap.effects.stepping import Given, next_state
@@ -117,7 +118,7 @@ def by_start(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks)
         def e(start: Float[Array, " k"]) -> Float[Array, "T-1 o"]:
             state = chunk.state.at[0, hidden].set(start)
             nested = jax.tree.map(lambda a: a[None], chunk._replace(state=state))
-            return filtered(augmented, scales, v, nested)[1][0]
+            return filtered(augmented, scales, v, nested, v.phi).innovations[0]
 
         return jnp.moveaxis(jax.jacfwd(e)(chunk.state[0, hidden]), -1, 0)
 

@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 from simgap.diagnosis.inference.explanation import Explanation, Hidden
 from simgap.diagnosis.inference.fitting.model import without
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem
 from simgap.diagnosis.likelihood.segments import Chunks
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects.augmented import Augmented
 from simgap.engines import Behind, is_engine, split_as
 

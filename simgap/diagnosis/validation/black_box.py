@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from simgap.diagnosis.hypotheses.features import seen, seen_names
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Problem, estimates, raw_innovations
 from simgap.diagnosis.likelihood.segments import counted
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.kinematics import to_own_frame, to_world
 from simgap.layout import Layout
 from simgap.rows import by_row

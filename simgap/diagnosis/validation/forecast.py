@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import Variables, acting, corrected, gain_matrix, in_state, innovation
+from simgap.diagnosis.likelihood.filter import corrected, gain_matrix, in_state, innovation
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, as_chunks, excerpt, sources_of
 from simgap.diagnosis.likelihood.signs import signed
-from simgap.diagnosis.likelihood.traced import advance, remember, sensed
+from simgap.diagnosis.likelihood.traced import advance, fading, remember, sensed
+from simgap.diagnosis.likelihood.variables import Variables, acting
 from simgap.diagnosis.validation.black_box import BlackBox, correct, silent
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Earlier, Memory, Row, Scales
@@ -113,8 +114,9 @@ def _begin(
 
     def one(state: Array, earlier: Earlier, time_s: Array) -> tuple[Memory, Array]:
         first = unsense(augmented, v.theta, state, time_s)
-        return remember(augmented, jnp.asarray(v.phi), v.theta, first, earlier, time_s, active), first
+        return remember(augmented, forgets, v.theta, first, earlier, time_s, active), first
 
+    forgets = fading(augmented, jnp.asarray(v.phi), v.theta, active)
     return jax.vmap(one)(state, earlier, time_s)
 
 

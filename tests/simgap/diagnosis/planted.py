@@ -11,7 +11,7 @@ from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import HISTORY_ROWS, Earlier, Row, Scales
 from simgap.effects.regime import EVERYWHERE, Regime, holds
-from simgap.effects.step import advance, remember, sense
+from simgap.effects.step import advance, fading, remember, sense
 from simgap.kinematics import carried_velocity
 from simgap.robots import operator
 from simgap.simulators.spot import Spot
@@ -71,12 +71,9 @@ def _run(key, theta, during, from_s, to_s, regime, there, its_regime, lost, phi,
         state = state + jolt + jnp.where(ADVANCES >= 0, jolt[ADVANCES], 0.0) / 15
         return (state, memory, op, acted), (measured, u)
 
-    start = (
-        state,
-        remember(SPOT, phi, theta, state, Earlier(jnp.zeros((HISTORY_ROWS + 1, 6))), jnp.zeros(())),
-        operator.init(),
-        jnp.zeros(6),
-    )
+    still = Earlier(jnp.zeros((HISTORY_ROWS + 1, 6)))
+    memory = remember(SPOT, fading(SPOT, phi, theta), theta, state, still, jnp.zeros(()))
+    start = (state, memory, operator.init(), jnp.zeros(6))
     times = jnp.arange(rows) / 15
     return jax.lax.scan(row, start, (jax.random.split(key, rows), times))[1]
 

@@ -8,10 +8,11 @@ from simgap.diagnosis.inference import explain as explanation
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.search.alternatives import Member
 from simgap.diagnosis.inference.search.posterior import differs_from_zero
-from simgap.diagnosis.likelihood.filter import Variables, filtered
+from simgap.diagnosis.likelihood.filter import filtered
 from simgap.diagnosis.likelihood.problem import Problem
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import Chunks, cut
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented
 from simgap.effects.effect import Scales
@@ -41,7 +42,7 @@ def problem(training: list[Recording]) -> Problem:
 
 def innovations(augmented: Augmented, scales: Scales, v: Variables, chunks: Chunks) -> np.ndarray:
     """Innovations [C, t, s] of one value of the variables."""
-    _, e = filtered(augmented, scales, v, chunks)
+    e = filtered(augmented, scales, v, chunks, v.phi).innovations
     return np.where(np.asarray(chunks.counts)[..., None], e, 0.0)
 
 

@@ -19,12 +19,13 @@ from simgap.diagnosis.inference.hidden import behind_joints as module
 from simgap.diagnosis.inference.hidden.behind_joints import FOUND, _beside, _Contest, _without_companions
 from simgap.diagnosis.inference.hidden.rivals import Gains, State, fitted
 from simgap.diagnosis.likelihood.direct import driven, innovations
-from simgap.diagnosis.likelihood.filter import Variables, gain_matrix
+from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.problem import Fit, Group, Problem, evaluate, start, whitening
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import fit_noise, log_density
 from simgap.diagnosis.likelihood.unmeasured import guessed
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.diagnosis.report.hidden_states import hidden_effects, notes
 from simgap.diagnosis.validation.forecast import Contestant
 from simgap.effects.augmented import Augmented

@@ -18,11 +18,11 @@ from simgap.diagnosis.inference.fitting.model import Model, decorrelated
 from simgap.diagnosis.inference.search import posterior
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Group, Problem, evaluate, start, trials, value_of, whitening, with_value
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.regime import Regime, features

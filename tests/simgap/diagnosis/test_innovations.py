@@ -12,8 +12,10 @@ from planted import PHI, SCALES, SPOT, theta
 from small import KEYS, acting, innovations, sessions
 
 from examples.drive import DRIVE
-from simgap.diagnosis.likelihood.derivatives import BATCH
-from simgap.diagnosis.likelihood.filter import Variables, alone, corrected, filtered, gain_matrix, tangents
+from simgap.diagnosis.likelihood.derivatives import nuisance_columns
+from simgap.diagnosis.likelihood.directions import directions, spans
+from simgap.diagnosis.likelihood.filter import alone, corrected, filtered, gain_matrix
+from simgap.diagnosis.likelihood.problem import Problem, trials
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import (
     FEW,
@@ -27,10 +29,11 @@ from simgap.diagnosis.likelihood.segments import (
     scorable,
     sent_before,
 )
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects import CATALOGUE
 from simgap.effects.augmented import Augmented, Slot
 from simgap.effects.effect import HISTORY_ROWS, Earlier, Row
-from simgap.effects.step import advance, remember
+from simgap.effects.step import advance, fading, remember
 from simgap.kinematics import wrapped
 from simgap.rows import by_row
 from simgap.types import Recording
@@ -118,7 +121,9 @@ def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
     (e,) = (i for i, effect in enumerate(CATALOGUE) if effect.key == "sampling_interval.stamped")
     on = jnp.zeros(len(augmented.slots)).at[augmented.index[Slot(e, 0, 0)]].set(1.0)
     state, states = jnp.zeros(2), [np.zeros(2)]
-    memory = remember(augmented, phi, on, state, Earlier(jnp.zeros((HISTORY_ROWS + 1, 1))), jnp.zeros(()))
+    memory = remember(
+        augmented, fading(augmented, phi, on), on, state, Earlier(jnp.zeros((HISTORY_ROWS + 1, 1))), jnp.zeros(())
+    )
     still = measure(augmented, [Recording("a", time_s, np.zeros((100, 2)), command)])
     for t in range(99):
         row = Row(jnp.asarray(time_s[t]), jnp.asarray(interval[t], jnp.float32))
@@ -259,23 +264,23 @@ SMOOTH = ("delay", "lag", "gain", "viscous_drag", "gravity_sag", "rotation_centr
           "sensor_bias", "slope", "relative_smoothing.own_motion", "sampling_interval.constant")  # fmt: skip
 
 
-def test_tangents_agree_with_finite_differences() -> None:
+def test_derivatives_agree_with_finite_differences() -> None:
+    """Along random directions in phi and K, with laws that act on commands, pushes and sensors."""
     rng = np.random.default_rng(0)
     constants = {k: v for key in SMOOTH for k, v in everywhere(key).items()}
     v = truth(constants)._replace(gain=rng.uniform(0.2, 0.8, 12).astype(np.float32))
-    chunks = cut(nothing_planted(), 1 / 15)
-    phi, gain, cross = (rng.normal(size=(BATCH, n)).astype(np.float32) for n in (24, 12, 44))
-    got = np.asarray(tangents(SPOT, SCALES, v, (phi, gain, cross), chunks))
+    of = Problem(SPOT, SCALES, cut(nothing_planted(), 1 / 15), np.eye(12))
+    free, _ = directions(of, ())
+    columns, share = nuisance_columns(of, v), rng.normal(size=(3, len(free.phi))).astype(np.float32)
+    share[:, :24] /= spans(of)
     h = 3e-3
-    for i, tangent in enumerate(got[:3]):
-        along = Variables(phi[i], gain[i], cross[i], 0 * v.theta, 0 * v.delta)
-        ahead, back = (
-            innovations(SPOT, SCALES, jax.tree.map(lambda a, b, s=s: a + s * b, v, along), chunks) for s in (h, -h)
-        )
+    for tangent, along in zip(np.tensordot(share, columns, 1), share, strict=True):
+        step = jax.tree.map(lambda b, along=along: h * np.tensordot(along, b, 1), free)
+        ahead, back = trials(of, [jax.tree.map(np.add, v, step), jax.tree.map(np.subtract, v, step)])
         difference = (ahead - back) / (2 * h)
-        size = np.sqrt((difference**2).mean((0, 1)))
+        size = np.sqrt((difference**2).mean(0))
         assert (size > 0).all()
-        assert (np.sqrt(((tangent - difference) ** 2).mean((0, 1))) < 0.02 * size + 1e-4).all()
+        assert (np.sqrt(((tangent - difference) ** 2).mean(0)) < 0.02 * size + 1e-4).all()
 
 
 @given(st.integers(1, 10**6))

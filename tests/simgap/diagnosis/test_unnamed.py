@@ -16,10 +16,10 @@ from simgap.diagnosis.inference.fitting.gauss_newton import optimise
 from simgap.diagnosis.inference.fitting.model import Model
 from simgap.diagnosis.inference.misfit.impulse_response import direction, echoes, evidence, hear
 from simgap.diagnosis.inference.misfit.nonparametric import Law, nonparametric_law
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Problem, evaluate, start, trials, whitening, with_value
 from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import cut
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.effects.augmented import Augmented
 from simgap.types import Recording
 

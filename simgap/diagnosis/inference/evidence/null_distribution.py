@@ -4,7 +4,7 @@ With hundreds of hypotheses one fits well by chance. So the best is compared wit
 (block multiplier bootstrap).
 """
 
-from functools import partial
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,9 @@ from simgap.diagnosis.config import BLOCK, FEW, LEAST_BLOCK
 
 DRAWS = 4000
 AT_ONCE = 1000
-"""Directions whose draws are kept in memory at once."""
+"""Directions whose draws or squares are kept in memory at once."""
+LOOKS = 8
+"""Looks that are weighed at once: they read the evidence once."""
 NOTHING = 1e-4
 """Information [nats] below this counts as zero."""
 
@@ -45,17 +47,61 @@ class Weighed(NamedTuple):
 def weigh(evidence: Evidence, starts: Int[np.ndarray, " B"]) -> Weighed:
     """Amplitude, gain and test statistic of each direction. starts: first rows of the blocks."""
     score, power, two_sided = evidence
-    in_blocks = partial(np.add.reduceat, indices=starts, axis=1, dtype=np.float64)
-    if not len(starts):
-        zero = np.zeros(len(score))
-        return Weighed(zero, zero, zero, np.zeros((len(score), 0)))
-    scores, powers = in_blocks(score), in_blocks(power)
+    scores, powers = (np.add.reduceat(a, starts, axis=1, dtype=np.float64) for a in (score, power))
+    (squares,) = _squares(evidence, np.ones((1, score.shape[1]), bool))
+    return _weighed(_Sums(scores, powers, squares), two_sided)
+
+
+def weigh_each(evidence: Evidence, starts: Int[np.ndarray, " B"], looks: Bool[np.ndarray, "L n"]) -> Iterator[Weighed]:
+    """The same over the rows of each look, one look at a time."""
+    scores, powers = (_in_blocks(a, starts) for a in evidence[:2])
+    squares = _squares(evidence, looks)
+    for first in range(0, len(looks), LOOKS):
+        rows = _in_blocks(looks[first : first + LOOKS].astype(np.float32), starts).swapaxes(1, 2)
+        for k, sums in enumerate(zip((rows @ scores).swapaxes(0, 1), (rows @ powers).swapaxes(0, 1), strict=True)):
+            in_blocks = (a.T.astype(np.float64) for a in sums)
+            yield _weighed(_Sums(*in_blocks, squares=squares[first + k]), evidence.two_sided)
+
+
+def _in_blocks(a: Float[np.ndarray, "h n"], starts: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B k h"]:
+    """The columns of each block, which zeros pad to the longest one."""
+    lengths = np.diff(starts, append=a.shape[1])
+    place = np.arange(lengths.max(initial=0))
+    columns = np.where(place < lengths[:, None], starts[:, None] + place, a.shape[1])
+    return np.concatenate([a.T, np.zeros_like(a[:, :1]).T])[columns]
+
+
+def _squares(evidence: Evidence, looks: Bool[np.ndarray, "L n"]) -> Float[np.ndarray, "L 3 h"]:
+    """Sums over the rows of each look of squared scores, of scores times powers, and of squared powers."""
+    sums, rows = np.zeros((len(looks), 3, len(evidence.score))), looks.T.astype(np.float64)
+    for first in range(0, len(evidence.score), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        score, power = evidence.score[part].astype(np.float64), evidence.power[part].astype(np.float64)
+        for k, product in enumerate((score * score, score * power, power * power)):
+            sums[:, k, part] = (product @ rows).T
+    return sums
+
+
+class _Sums(NamedTuple):
+    """Score and information of every block, and `_squares` over all rows."""
+
+    scores: Float[np.ndarray, "h B"]
+    powers: Float[np.ndarray, "h B"]
+    squares: Float[np.ndarray, "3 h"]
+
+
+def _weighed(sums: _Sums, two_sided: Bool[np.ndarray, " h"]) -> Weighed:
+    scores, powers, _ = sums
+    if not scores.shape[1]:
+        zero = np.zeros(len(scores))
+        return Weighed(zero, zero, zero, scores)
     total, information = scores.sum(1), powers.sum(1)
     informative = information > NOTHING
     amplitude = np.where(informative, total / np.maximum(information, NOTHING), 0.0)
     # Subtract the fitted effect: a law that acts in a few blocks would otherwise inflate its own variance.
     left = scores - amplitude[:, None] * powers
-    variance, blocks_acted_in = _variance(score - amplitude[:, None] * power, left, powers, informative)
+    over_rows = sums.squares[0] - 2 * amplitude * sums.squares[1] + amplitude**2 * sums.squares[2]
+    variance, blocks_acted_in = _variance(over_rows, left, powers, informative)
     # Such a law must not rest on a single block: its strongest is left out.
     signed = scores * np.sign(total)[:, None]
     best = signed.argmax(1)[:, None]
@@ -73,7 +119,7 @@ def weigh(evidence: Evidence, starts: Int[np.ndarray, " B"]) -> Weighed:
 
 
 def _variance(
-    rows: Float[np.ndarray, "h n"],
+    over_rows: Float[np.ndarray, " h"],
     left: Float[np.ndarray, "h B"],
     powers: Float[np.ndarray, "h B"],
     informative: Bool[np.ndarray, " h"],
@@ -86,7 +132,7 @@ def _variance(
     """
     information = np.maximum(powers.sum(1), NOTHING)
     acted_in = information**2 / np.maximum((powers**2).sum(1), NOTHING**2)
-    over_rows = np.maximum((rows.astype(np.float64) ** 2).sum(1), NOTHING)
+    over_rows = np.maximum(over_rows, NOTHING)
     dependence = (left**2).sum(1) / over_rows
     usual = np.median(dependence[informative]) if informative.any() else 1.0
     dependence = (FEW * usual + acted_in * dependence) / (FEW + acted_in)

@@ -15,9 +15,9 @@ from jaxtyping import Float
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.inference.evidence.null_distribution import NOTHING, Evidence, Weighed, blocks, by_chance, weigh
 from simgap.diagnosis.inference.evidence.screening import Screened, Screening
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, trials, with_value
 from simgap.diagnosis.likelihood.student_t import weights
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.threads import side_by_side
 
 PART = 32

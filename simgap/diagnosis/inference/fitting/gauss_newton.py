@@ -8,9 +8,9 @@ from scipy.optimize import lsq_linear
 
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions, prior_offset, room_to_move, step_from
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, trials
 from simgap.diagnosis.likelihood.student_t import fit_noise, log_density, weights
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.types import DivergenceError
 
 NARROW = 1e-9

@@ -7,9 +7,9 @@ import numpy as np
 from simgap.diagnosis.inference.fitting.gauss_newton import optimise
 from simgap.diagnosis.inference.fitting.model import SETTLED, Trial
 from simgap.diagnosis.likelihood.directions import bounds_of
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.linearised import tabulated
 from simgap.diagnosis.likelihood.problem import NEAR, Fit, Problem, evaluate, value_of, with_value
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.engines import Table, is_engine
 
 SIZES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)

@@ -14,12 +14,12 @@ from simgap.diagnosis.inference.fitting.gauss_newton import SHARES, lowest
 from simgap.diagnosis.inference.fitting.model import SETTLED
 from simgap.diagnosis.likelihood.derivatives import constant_columns, nuisance_columns
 from simgap.diagnosis.likelihood.directions import directions, prior_offset, room_to_move, step_from
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.segments import until_last
 from simgap.diagnosis.likelihood.signs import signed
 from simgap.diagnosis.likelihood.student_t import log_density, weights
 from simgap.diagnosis.likelihood.unmeasured import by_start, chained, sloped
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.engines import is_engine
 
 STEPS = 20

@@ -15,9 +15,9 @@ from simgap.diagnosis.inference.hidden.rivals import Gains, State, fitted, refit
 from simgap.diagnosis.inference.misfit.nonparametric import no_law
 from simgap.diagnosis.inference.misfit.whiteness import Whiteness, whiteness
 from simgap.diagnosis.inference.search.alternatives import Member, compared
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, evaluate
 from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.engines import is_engine, split_of
 
 FOUND = "found"

@@ -15,9 +15,10 @@ from simgap.diagnosis.inference.fitting.model import settled
 from simgap.diagnosis.inference.search.one_more import CONTENDER
 from simgap.diagnosis.likelihood.direct import Driven, driven, innovations
 from simgap.diagnosis.likelihood.directions import CROSS, PRIOR_PRECISION, TRUST, spans
-from simgap.diagnosis.likelihood.filter import Variables, gain_matrix
+from simgap.diagnosis.likelihood.filter import gain_matrix
 from simgap.diagnosis.likelihood.problem import Problem, start
 from simgap.diagnosis.likelihood.student_t import Noise, fit_noise, log_density, weights
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.engines import Engine, Term
 from simgap.threads import side_by_side
 

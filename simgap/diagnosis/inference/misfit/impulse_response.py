@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.inference.evidence.null_distribution import Evidence
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Group, Problem, estimates, raw_innovations, with_value
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.layout import X, Y
 from simgap.threads import side_by_side
 

@@ -14,9 +14,9 @@ from simgap.diagnosis.inference.fitting.model import Model, Reporter, Round, Tri
 from simgap.diagnosis.inference.fitting.multistart import converged
 from simgap.diagnosis.inference.misfit.relaxation import room
 from simgap.diagnosis.inference.search.posterior import means_another
-from simgap.diagnosis.likelihood.filter import Variables
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.student_t import log_density
+from simgap.diagnosis.likelihood.variables import Variables
 from simgap.threads import THREADS, side_by_side
 
 FITTED = 10

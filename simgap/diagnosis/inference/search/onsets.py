@@ -11,7 +11,7 @@ from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_RE
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind
 from simgap.diagnosis.hypotheses.support import ALWAYS, Support, Window, for_heldout, in_words, opened
-from simgap.diagnosis.inference.evidence.null_distribution import Evidence, Weighed, blocks, by_chance, weigh
+from simgap.diagnosis.inference.evidence.null_distribution import Weighed, blocks, by_chance, weigh_each
 from simgap.diagnosis.inference.evidence.scan import gain_of, narrowest, onset, scores, stretch
 from simgap.diagnosis.inference.evidence.score_test import vary
 from simgap.diagnosis.inference.evidence.screening import Screened, Screening
@@ -116,11 +116,9 @@ def hidden_restriction(
     """
     problem = model.problem
     rows, values = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
-    score, power, two_sided = screening.evidence
     starts = blocks(np.asarray(problem.chunks.counts))
     looks = [*_onset_looks(rows), *_regime_looks(values)]
-    # One look at a time: all rows for all looks would take gigabytes.
-    per_look = [weigh(Evidence(score * look.rows, power * look.rows, two_sided), starts) for look in looks]
+    per_look = weigh_each(screening.evidence, starts, np.array([look.rows for look in looks], bool))
     weighed = Weighed(*(np.concatenate(fields) for fields in zip(*per_look, strict=True)))
     chance = by_chance(weighed, rng)
     p_value, threshold = chance.p_value(weighed.statistic.max(initial=0.0)), chance.critical(LEVEL)
@@ -130,7 +128,7 @@ def hidden_restriction(
     for kind in (of_regimes, ~of_regimes):  # an onset also shows in some regimes, and a regime after some times
         of_kind = np.where(kind[:, None], statistic, 0.0)
         if of_kind.max() >= threshold:
-            which, best = divmod(int(of_kind.argmax()), len(score))
+            which, best = divmod(int(of_kind.argmax()), len(screening.found))
             tried.append(_restriction_near(model, screening.found[best], looks[which]))
     best = max(tried, key=lambda r: r.promise - required_gain(r.support), default=None)
     if best is None or best.promise <= required_gain(best.support):
