@@ -73,20 +73,25 @@ def corrected(
     return x + to_world(layout, K @ to_own_frame(layout, e, x), x)
 
 
-def _filter_segment(
-    augmented: Augmented,
-    scales: Scales,
-    v: Variables,
-    thetas: Float[Array, "k P"],
-    active: Active,
-    chunk: Chunks,
-    begun: tuple[Memory, Float[Array, " s"]],
-    sent: Float[Array, "T-1 k ... u"],
-) -> tuple[Float[Array, "T-1 s"], Float[Array, "T-1 o"]]:
-    """State estimates at the beginning of the steps, and innovations, of one segment.
+class _Segment(NamedTuple):
+    """A segment, memory and state estimate at its beginning, k sets of constants, which effects act in any of them, and
+    the commands that act with each."""
 
-    Each innovation is that of its own step taken with the last of `thetas`, and all earlier steps with the first.
+    chunk: Chunks
+    begun: tuple[Memory, Float[Array, " s"]]
+    thetas: Float[Array, "k P"]
+    active: Active
+    sent: Float[Array, "T-1 k ... u"]
+
+
+def _filter_segment(
+    augmented: Augmented, scales: Scales, v: Variables, segment: _Segment
+) -> tuple[Float[Array, "T-1 s"], Float[Array, "T-1 o"]]:
+    """State estimates at the beginning of the steps, and innovations.
+
+    Each innovation is that of its own step taken with the last set of constants, and all earlier steps with the first.
     """
+    chunk, begun, thetas, active, sent = segment
     K, phi = gain_matrix(augmented, scales, v), jnp.asarray(v.phi)
 
     def row(carry, now):
@@ -127,11 +132,10 @@ def _filtered(
     forgets = fading(augmented, phi, v.theta, active)
 
     def one(chunk: Chunks) -> Filtered:
-        memory, first = begun_of(augmented, v, forgets, active, chunk)
-        sent = sent_by(augmented, v, thetas, active, chunk, memory)
-        return Filtered(
-            *_filter_segment(augmented, scales, v, thetas, active, chunk, (memory, first), sent), sent[:, 0]
-        )
+        begun = begun_of(augmented, v, forgets, active, chunk)
+        sent = sent_by(augmented, v, thetas, active, chunk, begun[0])
+        found = _filter_segment(augmented, scales, v, _Segment(chunk, begun, thetas, active, sent))
+        return Filtered(*found, sent[:, 0])
 
     return jax.vmap(one)(bare(chunks))
 
@@ -172,7 +176,8 @@ def tangents(
             first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
             bent, states = remember_motion(augmented, at_start, first, chunk.earlier, active)
             begun = Memory(chunk.command[:0], {}, bent, states, chunk.command[0]), first
-            return _filter_segment(augmented, scales, moved, thetas, active, chunk, begun, sent[:, None])[1]
+            segment = _Segment(chunk, begun, thetas, active, sent[:, None])
+            return _filter_segment(augmented, scales, moved, segment)[1]
 
         return jnp.where(counts, jax.vmap(one)(bare(chunks), sent), 0.0)
 
