@@ -9,7 +9,15 @@ from small import RICH, sessions
 
 from simgap.diagnosis.config import BLOCK, FEW, LEAST_BLOCK, LEVEL
 from simgap.diagnosis.hypotheses.space import hypotheses_of
-from simgap.diagnosis.inference.evidence.null_distribution import Chance, Evidence, blocks, by_chance, weigh
+from simgap.diagnosis.inference.evidence.null_distribution import (
+    LOOKS,
+    Chance,
+    Evidence,
+    blocks,
+    by_chance,
+    weigh,
+    weigh_each,
+)
 from simgap.diagnosis.inference.evidence.score_test import closer
 from simgap.diagnosis.inference.evidence.screening import Screened, Screening
 from simgap.diagnosis.likelihood.scales import measure
@@ -101,3 +109,25 @@ def test_a_fit_passes_by_its_likelihood_ratio_on_the_scale_of_its_score(spread: 
     needed = spread * screening.threshold / 2
     assert screening.p_value_of_fit("delay on base", 1.01 * needed) <= LEVEL + 1e-3
     assert screening.p_value_of_fit("delay on base", 0.8 * needed) > LEVEL
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 30.0])
+@given(
+    rows=st.lists(st.integers(0, 70), min_size=1, max_size=8),
+    looks=st.integers(1, 2 * LOOKS + 1),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_looks_weigh_as_their_rows_do(size: float, rows: list[int], looks: int, seed: int) -> None:
+    """However many are weighed at once: evidence outside of a look counts as none, that of silent laws too."""
+    rng = np.random.default_rng(seed)
+    counts = np.arange(70) < np.array(rows)[:, None]
+    n, starts = sum(rows), blocks(counts)
+    direction = size * rng.normal(size=(5, n)).astype(np.float32) * (rng.random((5, n)) < 0.5)
+    direction[0] = 0.0
+    noise = rng.normal(size=n).astype(np.float32)
+    evidence = Evidence(direction * (noise + 0.3 * direction), direction**2, rng.random(5) < 0.5)
+    chosen = rng.random((looks, n)) < rng.random((looks, 1))
+    for look, found in zip(chosen, weigh_each(evidence, starts, chosen), strict=True):
+        alone = weigh(Evidence(evidence.score * look, evidence.power * look, evidence.two_sided), starts)
+        for a, b in zip(found, alone, strict=True):
+            np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4 * np.abs(b).max(initial=1.0))
