@@ -32,7 +32,7 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
     """
     free, _ = directions(problem, ())
     count, lean = len(free.phi), problem.augmented.lean(FEW, v.theta, v.delta)
-    sent = filtered(lean, problem.scales, v, problem.chunks, v.phi).sent
+    sent = filtered(problem.augmented, problem.scales, v, problem.chunks, v.phi).sent
 
     def batch(first: int) -> np.ndarray:
         # Pad the last batch by repetition.
@@ -42,30 +42,33 @@ def nuisance_columns(problem: Problem, v: Variables) -> Float[np.ndarray, "M n s
         return decorrelate(problem, raw)[: count - first]
 
     columns = np.concatenate(side_by_side(batch, range(0, count, BATCH)))
-    by_sent = _by_sent(problem._replace(augmented=lean), v)
-    columns[: len(spans(problem))] += by_sent
+    moved, by_sent = _by_sent(problem, v)
+    columns[moved] += by_sent
     invalid = np.flatnonzero(~_bounded(columns))
     return _replace_invalid(columns, invalid, _differences(problem, v, invalid)) if len(invalid) else columns
 
 
-def _by_sent(problem: Problem, v: Variables) -> Float[np.ndarray, "p n s"]:
-    """Derivatives of the innovations by phi (in ranges) through the commands that act.
+def _by_sent(problem: Problem, v: Variables) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k n s"]]:
+    """Which entries of phi change the innovations through the commands that act, and derivatives (in ranges) by these.
 
-    These depend on phi by how fast each is forgotten within a row, so smoothly that central differences are exact
-    enough, and only where there are laws on their way.
+    The commands depend on phi by how fast each is forgotten within a row, so smoothly that central differences are
+    exact enough, and only where there are laws on their way.
     """
-    augmented, units = problem.augmented, spans(problem)
-    columns = np.zeros((len(units), int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)), np.float32)
+    augmented, h = problem.augmented, SENT_STEP * spans(problem)
     on = np.any([theta != 0 for theta in (v.theta, *v.delta)], axis=0)
-    if not {augmented.catalogue[effect].place for effect in augmented.effect_of[on]} & {"command", "filter"}:
-        return columns
-    moving = np.asarray(fading_by_phi(augmented, v)).any(0)
-    for k in np.flatnonzero(moving).tolist():
-        ends = [replaced(v.phi, [k], v.phi[k] + by * SENT_STEP * units[k]) for by in (1, -1)]
-        raw = (filtered(augmented, problem.scales, v, problem.chunks, phi).innovations for phi in ends)
-        ahead, back = (decorrelate(problem, np.asarray(e)) for e in raw)
-        columns[k] = (ahead - back) / (2 * SENT_STEP)
-    return columns
+    places = {augmented.catalogue[effect].place for effect in augmented.effect_of[on]}
+    depends = (
+        np.asarray(fading_by_phi(augmented, v)).any(0) if places & {"command", "filter"} else np.zeros(len(h), bool)
+    )
+    moved = np.flatnonzero(depends)
+
+    def at(phi: Float[np.ndarray, " p"]) -> Float[np.ndarray, "n s"]:
+        return decorrelate(problem, filtered(augmented, problem.scales, v, problem.chunks, phi).innovations)
+
+    ends = [replaced(v.phi, [int(k)], v.phi[k] + sign * h[k]) for sign in (1, -1) for k in moved]
+    shape = 2 * len(moved), int(np.asarray(problem.chunks.counts).sum()), len(problem.whiten)
+    e = np.array(side_by_side(at, ends), np.float32).reshape(shape)
+    return moved, _slopes(e, np.full(len(moved), 2 * SENT_STEP))
 
 
 def _bounded(columns: Float[np.ndarray, "M n s"]) -> Bool[np.ndarray, " M"]:
