@@ -21,12 +21,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from simgap.diagnosis.likelihood.segments import Chunks, bare
-from simgap.diagnosis.likelihood.sent import begun_of, each_of, sent_by
+from simgap.diagnosis.likelihood.sent import begun_of, each_of, sent_by, start_of
 from simgap.diagnosis.likelihood.traced import fading, move, remember_motion, sensed
 from simgap.diagnosis.likelihood.variables import Variables, acting
 from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row, Scales
-from simgap.effects.step import unsense
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 
@@ -172,8 +171,7 @@ def tangents(
         moved = v._replace(phi=phi, gain=gain, cross=cross)
 
         def one(chunk: Chunks, sent: Float[Array, "T-1 ... u"]) -> Float[Array, "T-1 o"]:
-            at_start = acting(v, v.theta, chunk.gate[:, 0])
-            first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
+            at_start, first = start_of(augmented, v, chunk)
             bent, states = remember_motion(augmented, at_start, first, chunk.earlier, active)
             begun = Memory(chunk.command[:0], {}, bent, states, chunk.command[0]), first
             segment = _Segment(chunk, begun, thetas, active, sent[:, None])

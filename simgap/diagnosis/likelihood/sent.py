@@ -16,18 +16,23 @@ from jaxtyping import Array, Float
 from simgap.diagnosis.likelihood.segments import Chunks, bare
 from simgap.diagnosis.likelihood.traced import fading, follow, remember
 from simgap.diagnosis.likelihood.variables import Variables, acting
-from simgap.effects.augmented import Active, Augmented
+from simgap.effects.augmented import Active, Augmented, Theta
 from simgap.effects.effect import Memory, Row
 from simgap.effects.step import unsense
 from simgap.effects.stepping import terms_of
 
 
+def start_of(augmented: Augmented, v: Variables, chunk: Chunks) -> tuple[Theta, Float[Array, " s"]]:
+    """Constants and state estimate at the beginning of a segment (here and below without its leading axis C)."""
+    at_start = acting(v, v.theta, chunk.gate[:, 0])
+    return at_start, unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
+
+
 def begun_of(
     augmented: Augmented, v: Variables, forgets: Float[Array, " u"], active: Active, chunk: Chunks
 ) -> tuple[Memory, Float[Array, " s"]]:
-    """Memory and state estimate at the beginning of a segment (here and below without its leading axis C)."""
-    at_start = acting(v, v.theta, chunk.gate[:, 0])
-    first = unsense(augmented, at_start, chunk.state[0], chunk.time_s[0])
+    """Memory and state estimate there."""
+    at_start, first = start_of(augmented, v, chunk)
     return remember(augmented, forgets, at_start, first, chunk.earlier, chunk.time_s[0], active), first
 
 
