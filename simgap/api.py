@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -26,8 +26,18 @@ from simgap.result import Result
 from simgap.simulators.augmented import AugmentedSimulator
 from simgap.types import ConfigError, Recording, RecordingError, Schema, StepModel
 
-Columns = Mapping[str, Any]
-"""A session as a table: a DataFrame of any library, or a dictionary of arrays, with the schema's columns."""
+
+class DataFrame(Protocol):
+    """A table of any library."""
+
+    @property
+    def columns(self) -> Any: ...
+
+    def __getitem__(self, key: Any, /) -> Any: ...
+
+
+Columns = Mapping[str, Any] | DataFrame
+"""A session as a table, or a dictionary of arrays, with the schema's columns."""
 Folder = str | PathLike[str]
 Recordings = Folder | Sequence[Folder] | Columns | Recording | Sequence[Columns | Recording] | Mapping[str, Columns]
 """One folder of sessions, or several; one session; several sessions in a list, or by name in a dictionary."""

@@ -175,8 +175,8 @@ def push(
     """A push on each body, in its own frame, as additions to the command, to the velocities and to position rates.
 
     Where a command drives the axis, the push enters there, in the command's unit, so that the simulator's own dynamics
-    act on it. Otherwise it is added to the velocity of every step, or to the rate of a position without velocity. For
-    example, a sideways push on a car whose state has only its forward speed moves both x and y.
+    act on it. Otherwise it adds to the velocity, half before and half after every step, or to the rate of a position
+    without velocity. For example, a sideways push on a car whose state has only its forward speed moves both x and y.
     """
     tables: list[list[list[_Number]]] = [[], [], []]
     for b in range(len(layout.bodies)):

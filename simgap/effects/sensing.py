@@ -96,7 +96,8 @@ EFFECTS = (
     ),
     Effect(
         "sensor_bias", "sensing", (Constant("drift", "{u}/min"),), output_sites, _drifting, _drift,
-        "a measured output drifts off by {drift}", form="drift", slight=True,
+        "a measured output drifts off by {drift}: its sensor drifts, or what it is measured against moves",
+        form="drift", slight=True,
     ),
     Effect(
         "rectified_sensor", "sensing",

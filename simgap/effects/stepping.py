@@ -55,14 +55,18 @@ def pushed_state(
     heading: Float[Array, " b"],
     delta: Float[Array, "b 4"],
 ) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
-    """The next state with a push on each body, in its own frame, and its part that is a position rate [1/s]."""
+    """The next state with a push on each body, in its own frame, and its part that is a position rate [1/s].
+
+    Half of what a push adds to velocities acts before the step and half after it [Strang 1968]: a body that is pushed
+    all along gains half of the row's velocity in the row's positions.
+    """
     if is_engine(augmented.simulator):
         where = efforts(augmented.layout)
         effort = jnp.stack([delta[b, a] for b, a in where]) if where else jnp.zeros(0)
         then = _engine(augmented.simulator, state, given, effort)
         return then, jnp.zeros_like(then)
     du, dv, dp = push(augmented.layout, heading, delta)
-    return augmented.simulator.step(given.phi, state, given.command + du) + dv, dp
+    return augmented.simulator.step(given.phi, state + dv / 2, given.command + du) + dv / 2, dp
 
 
 def ending(

@@ -6,7 +6,7 @@ from typing import Any
 
 from simgap.diagnosis.config import LEVEL
 from simgap.diagnosis.report.forecasts import clear, rises
-from simgap.diagnosis.report.names import by_certainty, either, listed, outside, tied, title
+from simgap.diagnosis.report.names import by_certainty, either, like_parameters, listed, outside, tied, title
 from simgap.diagnosis.report.wording import NO_COMMANDS
 from simgap.page.marks import MODELS
 from simgap.page.numbers import DASH, fixed, interval, known, number, percent
@@ -130,6 +130,8 @@ def certainty(statement: Values) -> list[str]:
     power = (statement.get("sensitivity") or {}).get("power")
     if verdict in ("nothing", "parameters_only") and known(power):
         lines.append(f"Effects of the sizes in section 6 would be found with a probability of {percent(power)}.")
+        alike = like_parameters((statement.get("sensitivity") or {}).get("imitated_effects") or [])
+        lines += [alike] if alike else []
     return lines
 
 

@@ -10,11 +10,11 @@ from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.search import posterior
 from simgap.diagnosis.likelihood.segments import scorable
 from simgap.diagnosis.report import wording
-from simgap.diagnosis.report.names import title
+from simgap.diagnosis.report.names import quantity, title
 from simgap.diagnosis.validation import scores
 from simgap.diagnosis.validation.adequacy import Verdict
 from simgap.diagnosis.validation.sensitivity import Sensitivity
-from simgap.types import Sessions
+from simgap.types import Parameter, Sessions
 
 
 def credible_set(odds: Mapping[str, float]) -> list[str]:
@@ -87,7 +87,7 @@ def sensitivity_of(seen: Sensitivity) -> dict[str, Any]:
     return {
         "needed_nats": seen.needed, "power": POWER, "segments": seen.segments, "least_segments": seen.least_segments,
         "least_rows": seen.least_rows, "undetectable_effects": seen.undetectable_effects,
-        "unexcited_channels": seen.unexcited_channels,
+        "unexcited_channels": seen.unexcited_channels, "imitated_effects": seen.imitated_effects,
         "effects": [{"effect": v.effect, "where": v.where, "constant": v.constant, "size": v.size, "unit": v.unit}
                     for v in seen.visible],
     }  # fmt: skip
@@ -115,10 +115,11 @@ def untested_of(found: Explanation) -> list[str]:
 
 def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
     notes = [] if found.problem.augmented.layout.schema.command else [wording.NO_COMMANDS]
-    notes += posterior.at_bound(found.problem, found.fit).values()
+    ends, parameters = posterior.at_bound(found.problem, found.fit), found.problem.augmented.simulator.parameters
+    notes += [_at_edge(p, ends[p.name]) for p in parameters if p.name in ends]
     notes += [
         f"{p.name} is not determined: the recordings do not depend on it, or its derivative is not finite."
-        for p, seen in zip(found.problem.augmented.simulator.parameters, found.sd.seen, strict=True)
+        for p, seen in zip(parameters, found.sd.seen, strict=True)
         if not seen
     ]
     notes += [
@@ -135,3 +136,9 @@ def notes_of(found: Explanation, sessions: Sessions) -> list[str]:
         note = "There are few held-out sessions: intervals of their scores are a bootstrap over pieces of sessions."
         notes.append(note)
     return notes
+
+
+def _at_edge(parameter: Parameter, end: float) -> str:
+    beyond, at = "smaller" if end == parameter.low else "larger", quantity({"value": end, "unit": parameter.unit})
+    edge = f"{parameter.name} is at the edge of its range ({at.strip()})"
+    return f"{edge}: widen the range if {beyond} values are plausible."

@@ -69,6 +69,12 @@ def in_steps(outputs: Sequence[Field], steps: Iterable[float]) -> list[str]:
     return [f"Readings come in steps: {', '.join(each)}. What is smaller than a step may be hidden."] if each else []
 
 
+def like_parameters(imitated: Sequence[str]) -> str:
+    """The sentence on effects that other values of the parameters imitate; empty for none."""
+    names = listed([title(effect) for effect in imitated])
+    return f"{names[:1].upper()}{names[1:]} would look like other values of the parameters." if names else ""
+
+
 def listed(names: Sequence[str]) -> str:
     """`a, b and c`; if there are many, the first ones and the number of the others: `a, b, c and 4 more`."""
     if len(names) > LISTED:

@@ -6,7 +6,17 @@ from typing import Any
 from simgap.diagnosis.hypotheses.space import Hypothesis
 from simgap.diagnosis.report import forecasts
 from simgap.diagnosis.report.experiment import RUNS, Experiment
-from simgap.diagnosis.report.names import by_certainty, either, listed, number, outside, quantity, tied, title
+from simgap.diagnosis.report.names import (
+    by_certainty,
+    either,
+    like_parameters,
+    listed,
+    number,
+    outside,
+    quantity,
+    tied,
+    title,
+)
 from simgap.effects import CATALOGUE
 
 
@@ -213,7 +223,8 @@ def _would_show(diagnosis: dict[str, Any]) -> str:
         if v["size"] is not None:
             first.setdefault(place_of.get(v["effect"], "engine"), v)  # an effect outside the catalogue is an engine's
     sizes = [f"{title(v['effect'])} on {v['where']} ({v['constant']} {sized(v)})" for v in first.values()]
-    return f" With a probability of {seen['power']:.0%} these would have been found, for example: {'; '.join(sizes)}."
+    found = f" With a probability of {seen['power']:.0%} these would have been found, for example: {'; '.join(sizes)}."
+    return f"{found} {like_parameters(seen['imitated_effects'])}".rstrip()
 
 
 def sized(visible: dict[str, Any]) -> str:

@@ -1,6 +1,8 @@
 """Power: for every effect and site, the smallest size that would have been found.
 
 "Nothing is missing" is a claim about sizes. Smaller effects, and effects on what did not move, would not be found.
+An effect that other parameters imitate is not found either, however long the recordings are: a gain of the force on a
+body of unknown mass. It is no gap of the simulator, which describes the robot as well with those parameters.
 """
 
 from collections.abc import Iterable, Sequence
@@ -9,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from simgap.diagnosis.config import FEW, LEAST_BLOCK, POWER
+from simgap.diagnosis.config import FEW, LEAST_BLOCK, LEAST_SHARE, POWER
 from simgap.diagnosis.hypotheses.space import Hypothesis, unit_of
 from simgap.diagnosis.inference.evidence.null_distribution import blocks
 from simgap.diagnosis.inference.evidence.score_test import in_proportion
@@ -24,7 +26,8 @@ class Visible(NamedTuple):
     """The smallest size of an effect at a site that would have been found.
 
     commands: those that the effect changes on the command path. size: of its constant [unit]; None if no size tried
-    would have been found. usual_nats: largest gain among the usual sizes.
+    would have been found. usual_nats: largest gain among the usual sizes. imitated: whether it would gain enough if
+    nothing else moved, but other parameters leave less than that, and less than `LEAST_SHARE`.
     """
 
     effect: str
@@ -34,6 +37,7 @@ class Visible(NamedTuple):
     size: float | None
     unit: str
     usual_nats: float
+    imitated: bool
 
 
 class Sensitivity(NamedTuple):
@@ -55,14 +59,20 @@ class Sensitivity(NamedTuple):
         return self.segments < self.least_segments
 
     @property
+    def imitated_effects(self) -> list[str]:
+        """Effects that other parameters imitate at every site."""
+        others = {v.effect for v in self.visible if not v.imitated}
+        return [effect for effect in dict.fromkeys(v.effect for v in self.visible) if effect not in others]
+
+    @property
     def undetectable_effects(self) -> list[str]:
-        """Effects that would not have been found at any site at a usual size."""
-        return _below(self.needed, ((v.effect, v.usual_nats) for v in self.visible))
+        """Effects that would not have been found at a usual size at any site where they are not imitated."""
+        return _below(self.needed, ((v.effect, v.usual_nats) for v in self.visible if not v.imitated))
 
     @property
     def unexcited_channels(self) -> list[str]:
         """Commands on which no effect of a usual size would have been found: they hardly move."""
-        return _below(self.needed, ((c, v.usual_nats) for v in self.visible for c in v.commands))
+        return _below(self.needed, ((c, v.usual_nats) for v in self.visible if not v.imitated for c in v.commands))
 
 
 def _below(needed: float, nats: Iterable[tuple[str, float]]) -> list[str]:
@@ -90,15 +100,17 @@ def sensitivity(problem: Problem, screening: Screening, hypotheses: Sequence[Hyp
 
 def _visible(problem: Problem, hypothesis: Hypothesis, tested: Sequence[Screened], needed: float) -> Visible:
     """The size closest to zero that would have been found."""
+    strong = [s for s in tested if s.unmoved >= needed]
+    imitated = bool(strong) and all(s.power < min(needed, LEAST_SHARE * s.unmoved) for s in strong)
     amplitudes = [k for k, c in enumerate(hypothesis.effect.constants) if not c.shapes]
-    visible = [(s.constant, size) for s in tested if (size := _smallest(s, needed)) is not None]
+    visible = [(s.constant, size) for s in tested if not imitated and (size := _smallest(s, needed)) is not None]
+    usual = max((s.power for s in tested), default=0.0)
     k, size = min(visible, key=lambda f: abs(f[1]), default=(amplitudes[0], None))
     constant = hypothesis.effect.constants[k]
     physical = None if size is None else float(constant.physical(size, hypothesis.sites[0], problem.scales))
-    usual = max((s.power for s in tested), default=0.0)
     unit = unit_of(problem.augmented, hypothesis, constant)
     commands = hypothesis.channels if hypothesis.effect.place in ("command", "filter") else ()
-    return Visible(hypothesis.effect.id, hypothesis.where, commands, constant.name, physical, unit, usual)
+    return Visible(hypothesis.effect.id, hypothesis.where, commands, constant.name, physical, unit, usual, imitated)
 
 
 def _smallest(s: Screened, needed: float) -> float | None:

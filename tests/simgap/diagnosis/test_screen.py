@@ -27,7 +27,7 @@ KNOWN = hypotheses_of(SPOT, SCALES)
 
 def screened(name: str, *starts: float) -> list[Screened]:
     (hypothesis,) = (c for c in KNOWN if c.name == name)
-    return [Screened(hypothesis, (start,), 0, 1.0, 1.0, 1.0, start) for start in starts]
+    return [Screened(hypothesis, (start,), 0, 1.0, 1.0, 1.0, 1.0, start) for start in starts]
 
 
 @pytest.mark.parametrize("seed", [RICH, 11, 12])

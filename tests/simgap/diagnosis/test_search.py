@@ -265,7 +265,7 @@ def test_a_limit_is_fitted_from_where_it_stands_best_not_from_the_direction_that
     """Of a limit far too tight a part gains most, which no share of its constant is."""
     limit = next(c for c in hypotheses_of(SPOT, SCALES) if c.effect.key == "saturation")
     tested = ((2.13, 65.5, 685.8), (2.05, 65.2, 99.8), (2.0, 64.9, 3.0), (1.9, 0.0, 0.0))
-    found = [Screened(limit, (c,), 0, gain, 90.0, power, c) for c, gain, power in tested]
+    found = [Screened(limit, (c,), 0, gain, 90.0, power, power, c) for c, gain, power in tested]
     (chosen,) = promising(found)
     assert chosen.start == (2.05,)
     assert chosen.gain == 65.5

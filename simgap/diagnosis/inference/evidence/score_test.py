@@ -42,8 +42,13 @@ class _Direction(NamedTuple):
     constant: int
 
 
-_Tested = tuple[_Direction, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
-"""A direction with the score and information of every row."""
+class _Tested(NamedTuple):
+    """A direction with the score and information of every row. unmoved: see `Screened`."""
+
+    direction: _Direction
+    score: Float[np.ndarray, " n"]
+    power: Float[np.ndarray, " n"]
+    unmoved: float
 
 
 def vary(v: Variables, hypothesis: Hypothesis, constants: Sequence[float]) -> Variables:
@@ -88,22 +93,24 @@ def screen(
         with np.errstate(over="ignore", invalid="ignore"):
             change = trials(problem, vs) - fit.e
             d = change.reshape(len(part), -1) * root
+            unmoved = 0.5 * np.einsum("pn,pn->p", d, d)
             d = _beyond_twin(problem, fit, part, d, root)
             d = (d - (d @ basis) @ basis.T).reshape(len(part), *fit.e.shape)
             score, power = np.einsum("pns,ns->pn", d, -residual), np.einsum("pns,pns->pn", d, d)
             finite = np.isfinite(power.sum(1))
-        return [(s, score[i], power[i]) for i, s in enumerate(part) if finite[i]]
+        return [_Tested(s, score[i], power[i], float(unmoved[i])) for i, s in enumerate(part) if finite[i]]
 
     def tested(directions: Sequence[_Direction]) -> list[_Tested]:
         parts = [directions[first : first + PART] for first in range(0, len(directions), PART)]
         return [t for part in side_by_side(batch, parts) for t in part]
 
     def summed(results: Sequence[_Tested]) -> tuple[Evidence, Weighed, list[Screened]]:
-        score, power = (np.array([t[i] for t in results]).reshape(len(results), len(fit.e)) for i in (1, 2))
+        shape = len(results), len(fit.e)
+        score, power = np.array([t.score for t in results]), np.array([t.power for t in results])
         two_sided = [low[d.hypothesis.groups[d.constant].entries[0]] < 0 for d, *_ in results]
-        evidence = Evidence(score, power, np.array(two_sided, bool))
+        evidence = Evidence(score.reshape(shape), power.reshape(shape), np.array(two_sided, bool))
         weighed = weigh(evidence, starts)
-        return evidence, weighed, [_screened(d, evidence, weighed, i) for i, (d, *_) in enumerate(results)]
+        return evidence, weighed, [_screened(t, weighed, i) for i, t in enumerate(results)]
 
     results = tested(_directions(hypotheses))
     for _ in range(CLOSER):
@@ -196,12 +203,12 @@ def _beyond_twin(
     return d - along_twin * (d * along_twin).sum(1, keepdims=True) / np.maximum(power, NOTHING)
 
 
-def _screened(direction: _Direction, evidence: Evidence, weighed: Weighed, i: int) -> Screened:
-    hypothesis, values, k = direction
+def _screened(tested: _Tested, weighed: Weighed, i: int) -> Screened:
+    hypothesis, values, k = tested.direction
     share = 1.0
     # A law that is proportional to its constant can start at the best amplitude.
     if in_proportion(hypothesis, k) and weighed.gain[i] > 0:
         share = float(np.clip(weighed.amplitude[i], -3, 3))
     start = tuple(v * share if j == k else v for j, v in enumerate(values))
-    power = 0.5 * float(evidence.power[i].sum())
-    return Screened(hypothesis, start, k, float(weighed.gain[i]), float(weighed.statistic[i]), power, values[k])
+    gain, statistic, power = float(weighed.gain[i]), float(weighed.statistic[i]), 0.5 * float(tested.power.sum())
+    return Screened(hypothesis, start, k, gain, statistic, power, tested.unmoved, values[k])

@@ -13,7 +13,7 @@ class Screened(NamedTuple):
     """A hypothesis at a start: expected gain [nats] and test statistic (chi-squared with one degree of freedom).
 
     constant: index of the one tested; tested: its value in the test. power: gain [nats] of an effect of that value, so
-    what the recordings could have shown.
+    what the recordings could have shown. unmoved: the same if nothing that is fitted moved to take its place.
     """
 
     hypothesis: Hypothesis
@@ -22,6 +22,7 @@ class Screened(NamedTuple):
     gain: float
     statistic: float
     power: float
+    unmoved: float
     tested: float
 
     @property

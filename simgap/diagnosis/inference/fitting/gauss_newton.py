@@ -135,10 +135,11 @@ def refine(problem: Problem, fit: Fit, held: Held, iterations: int) -> Fit:
 
 
 def optimise(problem: Problem, fit: Fit, enough: float = CONVERGED) -> tuple[Fit, Float[np.ndarray, "M n s"]]:
-    """Gauss-Newton until it gains less than `enough` [nats]. Also returns the derivatives by phi and K.
+    """Gauss-Newton until it gains less than `enough` [nats]. Also returns the derivatives by phi and K at its end.
 
-    These cost as much as ten steps, so they are renewed only when steps with the held ones gain no more. Raises
-    DivergenceError if the simulator diverges at the start.
+    These cost as much as ten steps, so they are renewed only when steps with the held ones gain no more. They depend on
+    K, which is still on its way when hardly anything is gained: those held before would let what parameters imitate
+    pass for an effect. Raises DivergenceError if the simulator diverges at the start.
     """
     if not np.isfinite(fit.loglik):
         raise DivergenceError(
@@ -149,8 +150,8 @@ def optimise(problem: Problem, fit: Fit, enough: float = CONVERGED) -> tuple[Fit
     for _ in range(RENEWALS):
         improved = refine(problem, fit, hold(fit, nuisance), HELD)
         gain = improved.loglik - fit.loglik
-        fit = improved
+        if improved is not fit:
+            fit, nuisance = improved, nuisance_columns(problem, improved.v)
         if gain < enough:
             break
-        nuisance = nuisance_columns(problem, fit.v)
     return fit, nuisance

@@ -57,17 +57,14 @@ def spread(
     return Spread(sd[:p] * spans(problem), sd[len(nuisance) :] * sizes, seen)
 
 
-def at_bound(problem: Problem, fit: Fit) -> dict[str, str]:
-    """Parameters that the fit puts at an end of their range, or nearly, each with a sentence about it."""
-    sentences = {}
-    for p, value in zip(problem.augmented.simulator.parameters, map(float, fit.v.phi), strict=True):
-        for end, beyond in ((p.low, "smaller"), (p.high, "larger")):
-            if abs(value - end) <= AT_BOUND * (p.high - p.low) and p.low < p.high:
-                sentences[p.name] = (
-                    f"{p.name} is at the edge of its range ({end:g}{p.unit and f' {p.unit}'}): widen the range if "
-                    f"{beyond} values are plausible."
-                )
-    return sentences
+def at_bound(problem: Problem, fit: Fit) -> dict[str, float]:
+    """Parameters that the fit puts at an end of their range, or nearly, each with that end."""
+    return {
+        p.name: end
+        for p, value in zip(problem.augmented.simulator.parameters, map(float, fit.v.phi), strict=True)
+        for end in (p.low, p.high)
+        if abs(value - end) <= AT_BOUND * (p.high - p.low) and p.low < p.high
+    }
 
 
 def differs_from_zero(problem: Problem, fit: Fit, hypothesis: Hypothesis, sd: Spread, deviations: float = Z95) -> bool:
