@@ -11,8 +11,8 @@ from concealed.plain import COMMAND, STATE, TIME_STEP
 
 EPOCH = 946_684_800
 """Time stamp of every file [s]: when it was made is nobody's business."""
-MODEL = "robot.xml"
-"""The model that the user of a machine has, in the folder of its sessions."""
+MODEL, SIMULATOR = "robot.xml", "simulator.txt"
+"""The model that the user of a machine has, or the name of its simulator, in the folder of its sessions."""
 
 
 class Columns(NamedTuple):
@@ -27,9 +27,11 @@ SPOT = Columns(tuple(STATE), tuple(COMMAND), TIME_STEP)
 """Those of the robot that walks."""
 
 
-def write(folder: Path, measured: Array, command: Array, columns: Columns = SPOT, model: str = "") -> None:
-    """A CSV a session, `a.csv` to `h.csv` and so on, all numbers as wide as each other; the model too, if there is
-    one."""
+def write(
+    folder: Path, measured: Array, command: Array, columns: Columns = SPOT, model: str = "", simulator: str = ""
+) -> None:
+    """A CSV a session, `a.csv` to `h.csv` and so on, all numbers as wide as each other; the user's model or the name of
+    the user's simulator too, if there is one."""
     folder.mkdir(parents=True)
     for s in range(len(measured)):
         rows = np.column_stack([np.arange(measured.shape[1]) * columns.time_step, measured[s], command[s]])
@@ -37,8 +39,9 @@ def write(folder: Path, measured: Array, command: Array, columns: Columns = SPOT
         with path.open("w") as file:
             file.write(",".join(("time_s", *columns.state, *columns.command)) + "\n")
             np.savetxt(file, np.clip(rows, -9999, 9999), fmt="%+012.6f", delimiter=",")
-    if model:
-        (folder / MODEL).write_text(model)
+    for name, text in ((MODEL, model), (SIMULATOR, simulator)):
+        if text:
+            (folder / name).write_text(text)
     for path in (*folder.iterdir(), folder):
         os.utime(path, (EPOCH, EPOCH))
 

@@ -35,6 +35,16 @@ class ArmParams(Strict):
     rows: SessionRows = Field(description="Rows of a session, 50 a second.")
 
 
+class KindsParams(Strict):
+    """What the suite of machines of five kinds holds."""
+
+    nulls: Cases = Field(description="Cases without an effect, of every kind.")
+    repeats: Cases = Field(description="Cases of every cause.")
+    parts: Parts = Field(description="Stratified samples that the suite is dealt out into.")
+    sessions: SessionFiles = Field(description="Sessions of a case, which are files from a to z.")
+    rows: SessionRows = Field(description="Rows of a session.")
+
+
 class TiesParams(Strict):
     of: Literal["development", "examination"] = Field(description="The examined suite whose ties are settled.")
     repeats: SessionFiles = Field(description="Sessions of each experiment, from different places.")
@@ -64,6 +74,7 @@ class ConcealParams(Strict):
     glitches: Share = Field(description="Of all cases: glitches in what is measured.")
     real: FolderParams = Field(description="Recordings of a real Spot, for the suite of that name.")
     arm: ArmParams = Field(description="The suite of that name.")
+    kinds: KindsParams = Field(description="The suite of that name.")
     ties: TiesParams = Field(description="The suite of that name.")
 
 

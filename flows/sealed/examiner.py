@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,13 @@ from simgap.api import diagnose
 from simgap.formats.diagnoses import EXPERIMENT, write_experiment
 from simgap.formats.documents import write_json
 from tasks.sealed.lock import lock
-from tasks.sealed.workspace import AFTER, BEFORE, MODEL, PRESCRIBED, RECORDED
+from tasks.sealed.workspace import AFTER, BEFORE, MODEL, PRESCRIBED, RECORDED, SIMULATOR
 
 
 def examine(case: Path, out: Path, seed: int) -> None:
-    """Diagnose a case's own model on its recordings, or the kinematic model of the Spot; write the statement."""
-    model, after, before = case / MODEL, case / AFTER, case / BEFORE
-    simulator = model if model.exists() else "spot"
+    """Diagnose a case's own model or simulator on its recordings, or that of the Spot; write the statement."""
+    after, before = case / AFTER, case / BEFORE
+    simulator = simulator_of(case)
     if after.exists():
         found = diagnose(simulator, after, baseline=before, seed=seed)
     else:
@@ -36,6 +37,16 @@ def examine(case: Path, out: Path, seed: int) -> None:
     if found.found.experiment is not None:
         write_experiment(out.parent / EXPERIMENT, found.found.experiment, found.diagnosed.schema)
     write_json(out, found.statement)
+
+
+def simulator_of(case: Path) -> Any:
+    """The model file that a case has, or the simulator that it names, or the kinematic model of the Spot."""
+    if (case / MODEL).exists():
+        return case / MODEL
+    if not (case / SIMULATOR).exists():
+        return "spot"
+    module, _, name = (case / SIMULATOR).read_text().partition(":")
+    return getattr(import_module(module), name)
 
 
 def recordings_of(case: Path) -> list[Path]:

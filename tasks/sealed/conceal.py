@@ -12,13 +12,15 @@ from prefect import task
 from concealed import seal, sessions, spikes, suite
 from concealed.case import Recipe, conceal
 from concealed.catalogue import FORMS
+from concealed.kinds import case as kinds
+from concealed.kinds.suite import recipes as recipes_of_kinds
 from simgap.formats.documents import write_bytes, write_json
 from simgap.formats.folders import remove_file, remove_folder
 from simgap.formats.recordings import read_recordings
 from simgap.simulators.spot import SCHEMA
 from simgap.types import SimgapError
 from tasks.params import FolderParams
-from tasks.params_sealed import ArmParams, ConcealParams, TiesParams
+from tasks.params_sealed import ArmParams, ConcealParams, KindsParams, TiesParams
 from tasks.sealed.ties import ties
 from tasks.sealed.workspace import AFTER, BEFORE, EXAMINATION, SUITES, SealedWorkspace
 
@@ -60,6 +62,8 @@ def write(
             made = _real(draw, case_draw, real())
         case "arm":
             made = _arm(params.arm, draw, case_draw)
+        case "kinds":
+            made = _kinds(params.kinds, draw, case_draw)
         case "ties":
             made = _ties(workspace.root, params.ties, case_draw)
         case name:
@@ -167,6 +171,21 @@ def _arm(params: ArmParams, draw: np.random.Generator, case_draw: np.random.Gene
     return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
 
 
+def _kinds(params: KindsParams, draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
+    """Machines of every kind with every cause that it may have, and nulls."""
+
+    def write(recipe: kinds.Recipe, seed: int, folder: Path) -> dict[str, Any]:
+        made = kinds.conceal(recipe, params.sessions, params.rows, seed)
+        sessions.write(folder, made.measured, made.command, made.machine.columns, simulator=made.machine.simulator)
+        return made.key
+
+    if not params.nulls + params.repeats:
+        raise SimgapError("conceal.kinds: there must be a case; ask for nulls or repeats.")
+    parts = recipes_of_kinds(params.nulls, params.repeats, params.parts, draw)
+    seeds = iter(case_draw.integers(2**62, size=sum(map(len, parts))).tolist())
+    return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
+
+
 def _ties(root: Path, params: TiesParams, case_draw: np.random.Generator) -> list[Made]:
     """The ties of another suite, each with the experiment that its diagnosis prescribed."""
     other = SealedWorkspace(root, params.of)
@@ -177,6 +196,6 @@ def _ties(root: Path, params: TiesParams, case_draw: np.random.Generator) -> lis
 
 
 def _config(params: ConcealParams) -> suite.Config:
-    values = params.model_dump(exclude={"seed", "round", "real", "arm", "ties"})
+    values = params.model_dump(exclude={"seed", "round", "real", "arm", "kinds", "ties"})
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
     return suite.Config(**{**values, "effects": values["effects"] or tuple(FORMS)})

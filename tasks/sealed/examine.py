@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from simgap.formats.folders import remove_folder
 from simgap.types import Report, SimgapError
 from tasks.files.digests import digest_of
 from tasks.params_sealed import ExamineParams
-from tasks.sealed.workspace import SealedWorkspace
+from tasks.sealed.workspace import SIMULATOR, SealedWorkspace
 
 Job = Callable[[str, int], AbstractContextManager[Report]]
 EXAMINER = "flows.sealed.examiner"
@@ -34,11 +35,13 @@ def chosen(manifest: dict[str, Any], params: ExamineParams) -> list[str]:
 
 
 def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> str:
-    """Identifies what a diagnosis depends on: the recordings, the model, the seed and the diagnosing code."""
+    """Identifies what a diagnosis depends on: recordings, model or simulator, the seed and the diagnosing code."""
     files = sorted(path for path in workspace.case(case).rglob("*") if path.is_file())
     if not files:
         raise SimgapError(f"{workspace.case(case)}: there are no recordings of this case. Run the stage `conceal`.")
-    recorded = digest_of(files)
+    named = workspace.case(case) / SIMULATOR
+    source = find_spec(named.read_text().partition(":")[0]) if named.exists() else None
+    recorded = digest_of([*files, *([Path(source.origin)] if source and source.origin else [])])
     return f"{code[:16]}-{recorded}-{seed}"
 
 

@@ -72,7 +72,10 @@ def rows(workspace: SealedWorkspace, opened: Opened, report: Callable[[int, dict
         statement = statements.read(workspace.statement(case)) if workspace.statement(case).exists() else None
         row = {"case": case, **judge(key, statement, record["seconds"], record["error"])}
         row["fault"] = metrics.fault(row)
-        row |= (_of_arm if workspace.has_models else _of_spot)(workspace, case, key, statement)
+        if workspace.has_models:
+            row |= _of_arm(workspace, case, key, statement)
+        elif workspace.has_spots:
+            row |= _of_spot(workspace, case, key, statement)
         found.append(row)
         report(len(found), {})
     return found

@@ -7,14 +7,17 @@ from tasks import names
 
 EXAMINATION = "examination"
 ARM = "arm"
+KINDS = "kinds"
 TIES = "ties"
-SUITES = ("development", EXAMINATION, "engine", "real", ARM, TIES)
+SUITES = ("development", EXAMINATION, "engine", "real", ARM, TIES, KINDS)
 BEFORE, AFTER = "before", "after"
 """Folders of a case whose question is what changed."""
 RECORDED, PRESCRIBED = "recorded", "prescribed"
 """Folders of a case with the sessions of an experiment that a diagnosis prescribed."""
 MODEL = "robot.xml"
-"""The model of the machine, in the folder of a case that has one; else it is the Spot."""
+"""The model of the machine, in the folder of a case that has one."""
+SIMULATOR = "simulator.txt"
+"""The name of the machine's simulator, in the folder of a case that has one; without either it is the Spot."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +32,13 @@ class SealedWorkspace:
 
     @property
     def has_models(self) -> bool:
-        """Whether its cases are machines with a model file of their own; else all are the Spot."""
+        """Whether its cases are machines with a model file of their own."""
         return self.suite == ARM
+
+    @property
+    def has_spots(self) -> bool:
+        """Whether its cases are the Spot."""
+        return self.suite not in (ARM, KINDS)
 
     @property
     def lock(self) -> Path:

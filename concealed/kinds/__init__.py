@@ -1,0 +1,1 @@
+"""Machines of five kinds, whose users have a simulator each, with something that it lacks."""
