@@ -42,6 +42,8 @@ COVERED = {
         "sealed/test_sealed_suite.py::test_an_examinations", 'score.run.fn("examination"'),
     r"python -m flows\.sealed\.\w+ arm.*": (
         "sealed/test_sealed_arms.py::test_a_case_is_diagnosed", 'examine.run("arm"'),
+    r"python -m flows\.sealed\.\w+ kinds": (
+        "sealed/test_sealed_kinds.py::test_a_machine_is_diagnosed", 'examine.run.fn("kinds"'),
     r"python -m flows\.sealed\.\w+ ties.*": (
         "sealed/test_sealed_ties.py::test_a_tie_is_diagnosed", 'examine.run("ties"'),
     r"prefect deployment run sweep/.*": (
