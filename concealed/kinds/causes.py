@@ -7,7 +7,7 @@ import numpy as np
 
 from concealed.form import Array
 from concealed.kinds.robots import Kind
-from concealed.kinds.session import Pushes, Traits
+from concealed.kinds.session import FINE, Pushes, Traits
 
 CLIPPED = (0.8, 0.95)
 """Share of the rows in which a limited command stays within its limit."""
@@ -43,7 +43,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _late(of: Kind, sent: Array, rng: np.random.Generator) -> Drawn:
-    late = of.interval * _between(rng, 0.6, 3)
+    late = of.interval / FINE * round(FINE * _between(rng, 0.6, 3))
     return Drawn(Traits(late=late), (), ("delay", late, "s"))
 
 
