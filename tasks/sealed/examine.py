@@ -41,7 +41,8 @@ def fingerprint(workspace: SealedWorkspace, case: str, seed: int, code: str) -> 
         raise SimgapError(f"{workspace.case(case)}: there are no recordings of this case. Run the stage `conceal`.")
     named = workspace.case(case) / SIMULATOR
     source = find_spec(named.read_text().partition(":")[0]) if named.exists() else None
-    recorded = digest_of([*files, *([Path(source.origin)] if source and source.origin else [])])
+    by = digest_of([Path(source.origin)])[:8] if source and source.origin else ""
+    recorded = f"{digest_of(files)}{by}"
     return f"{code[:16]}-{recorded}-{seed}"
 
 
