@@ -31,7 +31,7 @@ def statement(engine: MujocoEngine, verdict: str, **more: Any) -> dict[str, Any]
     values = {p.name: p.nominal for p in engine.parameters}
     ends = {name: [value, value] for name, value in values.items()}
     parameters = {"nominal": values, "fitted": values, "ci95": ends, "ranges": ends}
-    seen = {"effects": [], "power": 0.9}
+    seen = {"effects": [], "power": 0.9, "imitated_effects": []}
     return {"verdict": verdict, "statement": "Nothing.", "warnings": [], "notes": [], "effects": [],
             "closest_matches": [], "parameters": parameters, "sensitivity": seen, **more}  # fmt: skip
 
