@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from concealed.effect import of_cause
 from concealed.form import Array, Size
 from concealed.operator import Habits, Person
 from concealed.plain import TIME_STEP
@@ -158,8 +159,7 @@ def conceal(cause: str | None, large: bool, rng: np.random.Generator) -> Case:
     what = CAUSES.get(cause or "")
     effects = []
     if what is not None:
-        effects = [{"id": what.accept[0], "accept": list(what.accept), "why": what.why, "cause": cause,
-                    "channels": [], "outputs": [], "constants": []}]  # fmt: skip
+        effects = [of_cause(str(cause), what.accept, what.why)]
     key = {
         "kind": "null" if what is None else "engine", "effects": effects, "when": None, "target": 0.0,
         "strength": of_change(before.measured, before.command, after.measured, after.command),

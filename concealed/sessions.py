@@ -27,6 +27,11 @@ SPOT = Columns(tuple(STATE), tuple(COMMAND), TIME_STEP)
 """Those of the robot that walks."""
 
 
+def every_fourth(sessions: int) -> range:
+    """Which of the sessions are held out; the last one of fewer than four."""
+    return range(min(3, sessions - 1), sessions, 4)
+
+
 def write(
     folder: Path, measured: Array, command: Array, columns: Columns = SPOT, model: str = "", simulator: str = ""
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from concealed.effect import of_cause
 from concealed.form import Array
 from concealed.plain import TIME_STEP
 from concealed.strength import of_change
@@ -131,8 +132,7 @@ def conceal(name: str | None, before: list[Pair], after: list[Pair]) -> tuple[li
     """The sessions after, with a spike in each or as they are; and the key. All sessions of one length."""
     spike, effects = SPIKES.get(name or ""), []
     if spike is not None:
-        effects = [{"id": spike.accept[0], "accept": list(spike.accept), "why": spike.why, "cause": name,
-                    "channels": [], "outputs": [], "constants": spike.constants}]  # fmt: skip
+        effects = [of_cause(str(name), spike.accept, spike.why, constants=spike.constants)]
         after = [spike.apply(*pair) for pair in after]
     # Of one length whatever was done to them.
     rows = min(len(x) for x, _ in before) - LATEST

@@ -1,6 +1,5 @@
 """One case of an arm: the model that its user has, what was recorded of it, and the key."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ from concealed.arms.causes import CAUSES, Drawn, effects_of
 from concealed.arms.operator import commands
 from concealed.arms.robot import FINE, ROW, Arm, Session, plain
 from concealed.form import Array
-from concealed.sessions import Columns
+from concealed.sessions import Columns, every_fourth
 
 INTERVAL = ROW * FINE
 """Between rows, as the time stamps say [s]."""
@@ -75,14 +74,10 @@ def _recorded(run: Session, speeds: bool) -> Array:
 def _strength(of: design.Design, sent: Array, true: Array, noise: Array) -> float:
     """How far the recordings are from those of the user's model, in nats on held-out sessions: half the squared
     distance in the noise's variances. No parameter is refitted, so that no true form could gain more."""
-    some = _every_fourth(len(sent))
+    some = every_fourth(len(sent))
     arm = Arm(of, plain(of))
     without = np.stack([_recorded(arm.run(sent[s]), true.shape[2] > sent.shape[2]) for s in some])
     return HELD_OUT * len(sent) / len(some) * 0.5 * float((((true[some] - without) / noise) ** 2).sum())
-
-
-def _every_fourth(sessions: int) -> Sequence[int]:
-    return range(min(3, sessions - 1), sessions, 4)
 
 
 def _verdicts(cause: str | None) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from concealed.arms.design import AXES, Design
 from concealed.arms.robot import FINE, ROW, Arm, Gear, Traits, plain
+from concealed.effect import constants_of, of_cause
 from concealed.form import Array
 
 
@@ -141,7 +142,5 @@ def effects_of(name: str, drawn: Drawn) -> list[dict[str, Any]]:
     cause = CAUSES[name]
     if cause.kind == "parameters":
         return []
-    constants = [] if drawn.constant is None else [dict(zip(("name", "value", "unit"), drawn.constant, strict=True))]
-    return [{"id": cause.accept[0], "accept": list(cause.accept), "why": cause.why,
-             "cause": name, "channels": [f"cmd_{j}" for j in drawn.joints], "outputs": [],
-             "constants": constants}]  # fmt: skip
+    channels = [f"cmd_{joint}" for joint in drawn.joints]
+    return [of_cause(name, cause.accept, cause.why, channels, constants_of(drawn.constant))]

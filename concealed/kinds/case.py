@@ -4,8 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from concealed.effect import constants_of, of_cause
 from concealed.form import Array
-from concealed.kinds.causes import CAUSES, Cause, Drawn
+from concealed.kinds.causes import CAUSES
 from concealed.kinds.robots import KINDS, Kind
 from concealed.kinds.session import PLAIN, chance, record
 from concealed.kinds.strength import strength
@@ -43,7 +44,8 @@ def conceal(recipe: Recipe, sessions: int, rows: int, seed: int) -> Case:
         cause = CAUSES[recipe.cause]
         drawn = cause.draw(of, recorded.command, amount)
         recorded = record(of, p, drawn.traits, luck, level)
-        effects, nats = [_effect(recipe.cause, cause, drawn)], strength(of, p, drawn.traits, recorded, level)
+        nats = strength(of, p, drawn.traits, recorded, level)
+        effects = [of_cause(recipe.cause, cause.accept, cause.why, drawn.channels, constants_of(drawn.constant))]
         kind, verdicts = ("single", ["missing_physics"]) if cause.accept else ("outside", ["unexplained"])
     key = {
         "kind": kind, "cause": recipe.cause, "when": None, "target": 0.0, "strength": nats,
@@ -52,9 +54,3 @@ def conceal(recipe: Recipe, sessions: int, rows: int, seed: int) -> Case:
     }  # fmt: skip
     measured, command = (np.ascontiguousarray(np.swapaxes(a, 0, 1)) for a in recorded)
     return Case(of, measured, command, key)
-
-
-def _effect(name: str, cause: Cause, drawn: Drawn) -> dict[str, Any]:
-    constants = [] if drawn.constant is None else [dict(zip(("name", "value", "unit"), drawn.constant, strict=True))]
-    return {"id": cause.accept[0] if cause.accept else name, "accept": list(cause.accept), "why": cause.why,
-            "cause": name, "channels": list(drawn.channels), "outputs": [], "constants": constants}  # fmt: skip

@@ -5,6 +5,7 @@ import numpy as np
 from concealed.form import Array
 from concealed.kinds.robots import Kind
 from concealed.kinds.session import PLAIN, Recorded, Traits, row, shown, wrapped
+from concealed.sessions import every_fourth
 
 NEAR = 1e-5
 """Step of the differences by which a row is linearised."""
@@ -15,8 +16,7 @@ FIRM = 1e-12
 def strength(of: Kind, p: Array, traits: Traits, recorded: Recorded, level: float) -> float:
     """The gain [nats] of an extended Kalman filter with the true traits over one without, both with the true parameters
     and variances of the noise, on every fourth session. No parameter is refitted to hide the cause."""
-    sessions = recorded.measured.shape[1]
-    some = range(min(3, sessions - 1), sessions, 4)
+    some = every_fourth(recorded.measured.shape[1])
     seen = Recorded(*(a[:, some] for a in recorded))
     return _density(of, p, traits, seen, level) - _density(of, p, PLAIN, seen, level)
 

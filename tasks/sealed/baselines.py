@@ -96,7 +96,7 @@ def _memory(v: np.ndarray, u: np.ndarray, new: np.ndarray) -> np.ndarray:
 
 
 def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """The baselines' scores beside the diagnosis' own; sparse regression is only done for the Spot."""
+    """Scores of the diagnosis and of the methods it is compared with: sparse regression for the Spot alone."""
     nulls = [r for r in rows if r["kind"] == "null"]
     known = [r for r in rows if r["kind"] in ONE and r["strength"] >= SEEN]
     mean = lambda values: float(np.mean(values)) if len(values) else np.nan  # noqa: E731

@@ -100,6 +100,14 @@ def read_real(source: FolderParams) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(r.state, r.command) for r in found]
 
 
+def _made(
+    parts: Sequence[Sequence[Any]], write: Callable[[Any, int, Path], dict[str, Any]], case_draw: np.random.Generator
+) -> list[Made]:
+    """A case of each recipe, with a seed of its own. write: of a recipe, a seed and a folder."""
+    seeds = iter(case_draw.integers(2**62, size=sum(map(len, parts))).tolist())
+    return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
+
+
 def _suite(params: ConcealParams, name: str, draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
     """Cases of the development suite and of examinations."""
 
@@ -110,8 +118,7 @@ def _suite(params: ConcealParams, name: str, draw: np.random.Generator, case_dra
 
     suite.known(params.effects)
     parts = suite.recipes(_config(params), name == EXAMINATION, draw)
-    seeds = iter(case_draw.integers(2**62, size=sum(map(len, parts))).tolist())
-    return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
+    return _made(parts, write, case_draw)
 
 
 def _engine(draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
@@ -167,8 +174,7 @@ def _arm(params: ArmParams, draw: np.random.Generator, case_draw: np.random.Gene
         raise SimgapError(f"conceal.arm.causes: no arm has {', '.join(unknown)}; there are {', '.join(CAUSES)}."
                           if unknown else "conceal.arm: there must be a case; ask for nulls or repeats.")  # fmt: skip
     parts = recipes(params.nulls, params.repeats, params.causes, params.parts, draw)
-    seeds = iter(case_draw.integers(2**62, size=sum(map(len, parts))).tolist())
-    return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
+    return _made(parts, write, case_draw)
 
 
 def _kinds(params: KindsParams, draw: np.random.Generator, case_draw: np.random.Generator) -> list[Made]:
@@ -182,8 +188,7 @@ def _kinds(params: KindsParams, draw: np.random.Generator, case_draw: np.random.
     if not params.nulls + params.repeats:
         raise SimgapError("conceal.kinds: there must be a case; ask for nulls or repeats.")
     parts = recipes_of_kinds(params.nulls, params.repeats, params.parts, draw)
-    seeds = iter(case_draw.integers(2**62, size=sum(map(len, parts))).tolist())
-    return [Made(p, partial(write, recipe, next(seeds))) for p, part in enumerate(parts) for recipe in part]
+    return _made(parts, write, case_draw)
 
 
 def _ties(root: Path, params: TiesParams, case_draw: np.random.Generator) -> list[Made]:

@@ -1,5 +1,7 @@
 """Machines of five kinds: without a cause each is what its user's simulator says, and each cause changes it."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -16,6 +18,11 @@ from simgap.effects import CATALOGUE
 kinds = pytest.mark.parametrize("kind", KINDS)
 
 
+def simulator_of(kind: str) -> Any:
+    """What its user has."""
+    return getattr(known, KINDS[kind].simulator.removeprefix("examples.kinds:"))
+
+
 def drawn(kind: str) -> tuple[Kind, np.ndarray]:
     """A kind of machine and parameters of one."""
     of = KINDS[kind]
@@ -29,7 +36,7 @@ def recorded(kind: str, traits: Traits = PLAIN, sessions: int = 4, rows: int = 6
 
 @kinds
 def test_the_users_simulator_has_the_columns_and_ranges_of_the_machine(kind: str) -> None:
-    of, simulator = KINDS[kind], getattr(known, KINDS[kind].simulator.removeprefix("examples.kinds:"))
+    of, simulator = KINDS[kind], simulator_of(kind)
     assert tuple(f.name for f in simulator.schema.state) == of.columns.state
     assert tuple(f.name for f in simulator.schema.command) == of.columns.command
     assert simulator.time_step == of.interval
@@ -42,7 +49,7 @@ def test_the_users_simulator_has_the_columns_and_ranges_of_the_machine(kind: str
 @kinds
 def test_without_a_cause_a_machine_does_what_its_simulator_says(kind: str) -> None:
     """To a tenth of the noise with which it is measured."""
-    (of, p), simulator = drawn(kind), getattr(known, KINDS[kind].simulator.removeprefix("examples.kinds:"))
+    (of, p), simulator = drawn(kind), simulator_of(kind)
     measured, command = recorded(kind)
     x, u = measured.reshape(-1, measured.shape[2]), command.reshape(-1, command.shape[2])
     after, _ = row(of, p, x, PLAIN, u[None], u)
