@@ -10,13 +10,12 @@ from simgap.ground.commands import drawn_commands
 from simgap.ground.families import FAMILIES
 from simgap.ground.laws import Law, Uneven
 from simgap.ground.machine import Machine
-from simgap.ground.machines import SMALL
+from simgap.ground.machines import COUPLED, SMALL, SPOT
 from simgap.ground.names import names_of
-from simgap.ground.spot import SPOT
 from simgap.types import Recording, Sessions
 
-LEGGED = 2000
-"""From this number on the machine is the one with legs and an arm, before it is one of the small ones."""
+DRAWN: dict[int, tuple[Machine, ...]] = {0: SMALL, 2000: (SPOT,), 3000: COUPLED}
+"""From each number on, the machines of which one is drawn: small ones, the one with legs and an arm, coupled ones."""
 USUAL, BRIEF, LONG = (6, 210), (2, 60), (6, 900)
 """Sessions of a case and rows of each, usually, where little and where much was recorded: equal shapes are compiled
 once."""
@@ -68,7 +67,8 @@ class Case(NamedTuple):
 def draw(number: int) -> Case:
     """The case of that number."""
     rng = np.random.default_rng([20261128, number])
-    machine = SPOT if number >= LEGGED else SMALL[rng.integers(len(SMALL))]
+    machines = DRAWN[max(first for first in DRAWN if first <= number)]
+    machine = machines[rng.integers(len(machines))]
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     return recorded(number, machine, kind, _families(kind, machine, rng))
 
@@ -141,9 +141,10 @@ def _law(machine: Machine, family: str, size: float, rate: float, rng: np.random
     """A law of the family, along some axes of the machine and with a strength that may vary."""
     law = FAMILIES[family].draw(rng, size, machine.time_step, rate)
     count = len(machine.velocities)
-    axes = np.ones(count)
+    possible = machine.driven if law.of_commands else range(count)
+    axes = np.isin(np.arange(count), possible).astype(float)
     if rng.random() > EVERYWHERE:
-        axes = np.eye(count)[rng.integers(count)]
+        axes = np.eye(count)[rng.choice(possible)]
     if given := FAMILIES[family].axes:
         axes = np.isin(np.arange(count), given).astype(float)
     depth = 0.0 if rng.random() < STRAIGHT else rng.uniform(0, BENDS[0])

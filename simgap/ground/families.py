@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from simgap.ground.family import HELD, JOINED, READ, Family, named
+from simgap.ground.crossed import CROSSED
+from simgap.ground.family import HELD, JOINED, READ, RUBBING, Family, named
 from simgap.ground.laws import Bristles, Fading, Gusts, Late, Law, Play, Push, Ringing, Slow, Static, Tired
 from simgap.ground.legged import LEGGED
 from simgap.ground.readings import Curve, Offset, Old
@@ -175,9 +176,10 @@ def _lopsided(rng: np.random.Generator, size: float, row: float, rate: float) ->
 
 
 FAMILIES: dict[str, Family] = {
-    "friction": Family(named("coulomb_friction"), _friction),
-    "stribeck": Family(named(), _stribeck),
-    "under_load": Family(named(), _under_load),
+    "friction": Family(named("coulomb_friction"), _friction, RUBBING),
+    "stribeck": Family(named(), _stribeck, RUBBING),
+    # Where an axis has no motor, nothing loads it.
+    "under_load": Family(named(), _under_load, tuple(m for m in RUBBING if m not in ("trolley", "hull"))),
     "drag": Family(named("quadratic_drag"), _drag),
     "bias": Family(named("body_frame_bias"), _bias),
     "delay": Family(named("delay"), _delay),
@@ -196,11 +198,11 @@ FAMILIES: dict[str, Family] = {
     "ringing": Family(named("resonance"), _ringing),
     "tired": Family(named(), _tired),
     "gusts": Family(named(), _gusts),
-    "bristles": Family(named(), _bristles),
+    "bristles": Family(named(), _bristles, RUBBING),
     # Elsewhere a parameter scales the command alone.
-    "gain": Family(named("gain"), _gain, (*HELD, "base", "spot")),
+    "gain": Family(named("gain"), _gain, (*HELD, "base", "spot", "wheels")),
     # A leak of the Spot would cross its bodies, and a steady offset of a velocity in the world is a parameter of it.
-    "leak": Family(named(), _leak, tuple(m for m in JOINED if m != "spot")),
+    "leak": Family(named(), _leak, JOINED),
     "fading": Family(named("gain_drift"), _fading),
     "sensor_scale": Family(named("sensor_scale"), _sensor_scale, READ),
     "sensor_bias": Family(named("sensor_bias"), _sensor_bias, tuple(m for m in READ if m != "spot")),
@@ -208,4 +210,5 @@ FAMILIES: dict[str, Family] = {
     "lopsided": Family(named(), _lopsided, READ),
     "rectified": Family(named("rectified_sensor"), _rectified, READ),
     **LEGGED,
+    **CROSSED,
 }

@@ -11,12 +11,14 @@ from simgap.ground.machines import MACHINES
 ALL = tuple(m.name for m in MACHINES)
 HELD = ("servo", "servo_positions", "arm", "arm_positions")
 """Machines that servos hold at a commanded position."""
-STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair", "pair_left")
+STAYING = (*HELD, "cart", "pendulum", "pendulum_positions", "pair", "pair_left", "trolley", "links")
 """Machines whose bodies keep their place."""
 READ = tuple(m.name for m in MACHINES if all(f.observed for f in m.schema.state))
 """Machines that record the speeds of all their axes."""
-JOINED = tuple(m.name for m in MACHINES if len(m.schema.command) > 1)
-"""Machines with a command for each of several axes."""
+JOINED = ("pair", "pair_left", "base", "arm", "arm_positions", "wheels")
+"""Machines of several axes, all of which may leak into the next one."""
+RUBBING = tuple(m for m in ALL if m != "flyer")
+"""Machines that touch what they move on or turn about."""
 
 
 class Family(NamedTuple):

@@ -14,7 +14,15 @@ Velocity = Float[np.ndarray, " v"]
 
 
 class Law(Protocol):
-    """A law with a memory, drawn anew for every session."""
+    """A law with a memory, drawn anew for every session.
+
+    Commands, velocities and pushes are those of all axes; a command that an axis lacks is zero.
+    """
+
+    @property
+    def of_commands(self) -> bool:
+        """Whether it acts on commands, and so only along axes that have one."""
+        ...
 
     def begin(self, rng: np.random.Generator) -> None:
         """Take the session's own randomness."""
@@ -36,6 +44,9 @@ class Law(Protocol):
 class Plain:
     """A law that does nothing; the others differ from it in one of three ways."""
 
+    of_commands = False
+    """Whether it acts on commands, and so only along axes that have one."""
+
     def begin(self, rng: np.random.Generator) -> None:
         self.rng = rng
 
@@ -49,7 +60,13 @@ class Plain:
         return v
 
 
-class Static(Plain):
+class Arriving(Plain):
+    """A law between the command that is sent and the one that arrives."""
+
+    of_commands = True
+
+
+class Static(Arriving):
     """A curve that commands pass."""
 
     def __init__(self, curve: Callable[[Command], Command]) -> None:
@@ -69,7 +86,7 @@ class Push(Plain):
         return self.law(q, v, u)
 
 
-class Late(Plain):
+class Late(Arriving):
     """Commands arrive `delay` [s] late, plus or minus some `jitter`, and through poles of `lag` [s]."""
 
     def __init__(self, delay: float, jitter: float, lags: tuple[float, ...]) -> None:
@@ -88,7 +105,7 @@ class Late(Plain):
         return u
 
 
-class Play(Plain):
+class Play(Arriving):
     """The output rests until the input has crossed a gap; it follows through a soft flank of a share of the gap."""
 
     def __init__(self, gap: float, soft: float) -> None:
@@ -104,7 +121,7 @@ class Play(Plain):
         return moved
 
 
-class Slow(Plain):
+class Slow(Arriving):
     """Commands are followed no faster than `limit` [1/s], with a rounded corner."""
 
     def __init__(self, limit: float, corner: float) -> None:
@@ -120,7 +137,7 @@ class Slow(Plain):
         return moved
 
 
-class Ringing(Plain):
+class Ringing(Arriving):
     """Commands pass an oscillator of frequency [rad/s] and damping ratio."""
 
     def __init__(self, frequency: float, damping: float) -> None:
@@ -136,7 +153,7 @@ class Ringing(Plain):
         return moved
 
 
-class Tired(Plain):
+class Tired(Arriving):
     """Work heats, and heat takes strength: of a command a share is lost that grows and fades with `fades` [s]."""
 
     def __init__(self, loss: float, fades: float) -> None:
@@ -148,7 +165,7 @@ class Tired(Plain):
         return sent * (1 - self.loss * self.heat / (1 + self.heat))
 
 
-class Fading(Plain):
+class Fading(Arriving):
     """The response to commands drifts by a share `by` in `within` [s], ever more slowly: half of it in a third."""
 
     def __init__(self, by: float, within: float) -> None:
@@ -194,7 +211,7 @@ class Uneven(Plain):
     """
 
     def __init__(self, law: Law, axes: Float[np.ndarray, " v"], depth: float, waves: float, phase: float) -> None:
-        self.law, self.axes = law, axes
+        self.law, self.axes, self.of_commands = law, axes, law.of_commands
         self.depth, self.waves, self.phase = depth, waves, phase
 
     def begin(self, rng: np.random.Generator) -> None:

@@ -1,7 +1,7 @@
 """A machine of the training ground: its simulator, and the machine itself, which may have laws that this lacks."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +33,10 @@ class Machine:
     schema: Schema
     parameters: tuple[Parameter, ...]
     time_step: float
+    drives: tuple[int, ...] = field(default=(), kw_only=True)
+    """Of every command, which of the velocities it drives; if none is given, each drives its own."""
+    often_long: float = field(default=0.5, kw_only=True)
+    """Share of the cases with long recordings."""
 
     @cached_property
     def positions(self) -> list[int]:
@@ -44,6 +48,11 @@ class Machine:
         """Which of the states are velocities."""
         return [i for i, f in enumerate(self.schema.state) if f.kind == "velocity"]
 
+    @cached_property
+    def driven(self) -> list[int]:
+        """Of every command, which of the velocities it drives."""
+        return [*self.drives] or [*range(len(self.schema.command))]
+
     @property
     def start(self) -> Float[np.ndarray, " s"]:
         """The state at rest in which sessions begin."""
@@ -53,11 +62,6 @@ class Machine:
     def sizes(self) -> tuple[float, float]:
         """Sizes of laws, as shares of usual commands and speeds, from and to."""
         return 0.01, 0.5
-
-    @property
-    def often_long(self) -> float:
-        """Share of the cases with long recordings."""
-        return 0.5
 
     @property
     def usual(self) -> Float[np.ndarray, " v"]:
@@ -136,15 +140,22 @@ class Integrated(Machine):
     ) -> Float[np.ndarray, " s"]:
         """See `Machine`."""
         h = self.time_step / FINER
+        commanded = np.zeros(len(self.velocities))
+        commanded[self.driven] = sent
         for _ in range(FINER):
-            arrives = sent
+            arrives = commanded
             for law in laws:
                 arrives = law.command(arrives, h)
             v = state[self.velocities]
-            pushed = sum((law.push(state[self.positions], v, arrives, h) for law in laws), np.zeros(len(v)))
-            middle = state + h / 2 * np.array(self.derivative(np, params, state, arrives, pushed))
-            state = state + h * np.array(self.derivative(np, params, middle, arrives, pushed))
+            push = sum((law.push(state[self.positions], v, arrives, h) for law in laws), np.zeros(len(v)))
+            acts = arrives[self.driven]
+            middle = state + h / 2 * np.array(self.derivative(np, params, state, acts, push))
+            state = state + h * np.array(self.derivative(np, params, middle, acts, push))
         return state
+
+    def pushed(self, params: Any, q: Any, push: Any) -> Any:  # noqa: ARG002
+        """Accelerations by what laws push with."""
+        return push
 
     def rate(self, params: Float[np.ndarray, " p"]) -> float:
         """See `Machine`."""
@@ -154,11 +165,11 @@ class Integrated(Machine):
         at = [np.array(self.acceleration(np, params, position, velocity, u)) for u in (command, 0 * command)]
         return float(np.abs(at[0] - at[1]).max())
 
-    def derivative(self, xp: Any, params: Any, state: Any, command: Any, pushed: Any = None) -> list[Any]:
-        """Of the state by time, with `xp` for numpy; `pushed` is added to the accelerations."""
+    def derivative(self, xp: Any, params: Any, state: Any, command: Any, push: Any = None) -> list[Any]:
+        """Of the state by time, with `xp` for numpy; laws may `push`."""
         q, v = [state[i] for i in self.positions], [state[i] for i in self.velocities]
         acceleration = self.acceleration(xp, params, q, v, command)
-        if pushed is not None:
-            acceleration = [a + p for a, p in zip(acceleration, pushed, strict=True)]
+        if push is not None:
+            acceleration = [a + p for a, p in zip(acceleration, self.pushed(params, q, push), strict=True)]
         slopes = dict(zip([*self.positions, *self.velocities], [*self.rates(xp, q, v), *acceleration], strict=True))
         return [slopes[i] for i in range(len(state))]

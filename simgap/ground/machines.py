@@ -6,6 +6,7 @@ Units of the small ones are such that usual speeds and commands are near one.
 from dataclasses import replace
 from typing import Any
 
+from simgap.ground.coupled import COUPLED
 from simgap.ground.machine import Integrated, Machine
 from simgap.ground.spot import SPOT
 from simgap.types import Axis, Field, Kind, Parameter, Schema
@@ -167,4 +168,4 @@ def _without_speeds(machine: Integrated) -> Integrated:
 
 
 SMALL = (CART, SERVO, PENDULUM, PAIR, BASE, ARM, *map(_without_speeds, (SERVO, PENDULUM, ARM)), PAIR_LEFT)
-MACHINES: tuple[Machine, ...] = (*SMALL, SPOT)
+MACHINES: tuple[Machine, ...] = (*SMALL, SPOT, *COUPLED)

@@ -8,11 +8,11 @@ EQUIVALENT = {
     **{(machine, "hardening"): "nonlinear_spring" for machine in STAYING},
     **{(machine, "bristles"): "hysteresis" for machine in STAYING},
     **{(machine, family): "stribeck_friction" for machine in STAYING for family in ("friction", "stribeck")},
-    **{(machine, "under_load"): "load_friction" for machine in STAYING if machine not in HELD},
+    **{(machine, "under_load"): "load_friction" for machine in STAYING if machine not in (*HELD, "trolley")},
     **{(machine, "gain"): "sensor_scale" for machine in ("servo", "servo_positions")},
     **{(machine, "sensor_scale"): "sampling_interval" for machine in ("cart", "servo", "pendulum")},
     **{(machine, family): "sensor_delay" for machine in ALL for family in ("delay", "dispersion")},
-    ("base", "leak"): "cross_axis_coupling",
+    **{(machine, "leak"): "cross_axis_coupling" for machine in ("base", "wheels")},
     ("spot", "gain"): "sensor_scale",
     ("spot", "sensor_scale"): "gain",
 }

@@ -43,11 +43,6 @@ class LeggedMachine(Machine):
         return 0.005, 0.15
 
     @property
-    def often_long(self) -> float:
-        """See `Machine`; a diagnosis of it takes long."""
-        return 0.15
-
-    @property
     def usual(self) -> Float[np.ndarray, " 6"]:
         """See `Machine`."""
         return USUAL
@@ -109,4 +104,5 @@ def _own_frame(state: Float[np.ndarray, " 12"]) -> Float[np.ndarray, " 9"]:
     return np.concatenate([back @ arm, back @ base, back @ (hand - carried)])
 
 
-SPOT = LeggedMachine("spot", Spot().schema, Spot().parameters, Spot().time_step)
+# A diagnosis of it takes long.
+SPOT = LeggedMachine("spot", Spot().schema, Spot().parameters, Spot().time_step, often_long=0.15)

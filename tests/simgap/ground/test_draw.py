@@ -15,7 +15,7 @@ from simgap.ground.families import FAMILIES
 from simgap.ground.family import ALL, READ, STAYING
 from simgap.ground.laws import Push, Static, Uneven
 from simgap.ground.machine import Integrated, Machine
-from simgap.ground.machines import MACHINES, PAIR, PAIR_LEFT, SERVO
+from simgap.ground.machines import COUPLED, MACHINES, PAIR, PAIR_LEFT, SERVO
 from simgap.ground.names import EQUIVALENT, names_of
 from simgap.ground.readings import Curve, Offset, Old
 
@@ -183,12 +183,13 @@ def test_no_law_is_drawn_where_a_machine_cannot_have_it(machine: Machine) -> Non
 
 def test_no_machine_has_laws_that_a_parameter_imitates_or_that_nothing_recorded_shows() -> None:
     """A parameter of the drives scales the command alone; a sensor may be off whose speed is not recorded."""
-    assert not {"cart", "pendulum", "pendulum_positions", "pair", "pair_left"} & set(FAMILIES["gain"].machines)
-    read = {"cart", "servo", "pendulum", "pair", "base", "arm"}
+    driven = {"cart", "pendulum", "pendulum_positions", "pair", "pair_left", "trolley", "links", "flyer", "hull"}
+    assert not driven & set(FAMILIES["gain"].machines)
+    read = {"cart", "servo", "pendulum", "pair", "base", "arm", *(m.name for m in COUPLED)}
     for family in ("sensor_scale", "old_reading", "lopsided", "rectified"):
         assert set(FAMILIES[family].machines) == {*read, "spot"}
     assert set(FAMILIES["sensor_bias"].machines) == read
-    assert set(FAMILIES["leak"].machines) == {"pair", "pair_left", "base", "arm", "arm_positions"}
+    assert set(FAMILIES["leak"].machines) == {"pair", "pair_left", "base", "arm", "arm_positions", "wheels"}
 
 
 def test_the_drift_of_a_response_is_within_the_vocabulary() -> None:
@@ -210,7 +211,7 @@ def test_a_servo_that_is_commanded_too_much_is_one_whose_sensors_show_too_much()
     np.testing.assert_allclose(more, 1.3 * plain, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", [m for m in STAYING if m in READ])
+@pytest.mark.parametrize("name", [m for m in STAYING if m in READ and BY_NAME[m] not in COUPLED])
 def test_speeds_that_are_shown_too_small_are_rows_that_are_longer(name: str) -> None:
     """With other parameters: of those with 1/s the share that is shown, of the others its square."""
     machine, share, rng = BY_NAME[name], 0.8, np.random.default_rng(0)

@@ -5,12 +5,12 @@ import pytest
 
 from simgap.ground import draw as ground
 from simgap.ground.commands import drawn_commands
-from simgap.ground.draw import LEGGED as FIRST
-from simgap.ground.draw import draw
+from simgap.ground.draw import DRAWN, draw
 from simgap.ground.laws import Push, Static
 from simgap.ground.legged import LEGGED
 from simgap.ground.spot import FINER, HOME, SPOT, USUAL
 
+FIRST = next(number for number, machines in DRAWN.items() if machines == (SPOT,))
 ROWS = 120
 STILL = np.zeros((ground.WARM + ROWS, 6))
 PARAMS = SPOT.drawn(np.random.default_rng(3))
