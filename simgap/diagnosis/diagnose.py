@@ -180,7 +180,7 @@ def _replayed(
 
 def _experiment(found: Explanation, training: Sequence[Recording]) -> tuple[written.Plan | None, list[str]]:
     """An experiment that separates the least certain effect from its rival, or a note why there is none."""
-    contested = [(m, m.rival) for m in found.members if m.rival is not None]
+    contested = [(m, m.rivals[0]) for m in found.members if m.rivals]
     if not contested or not found.problem.augmented.layout.schema.command:
         return None, []
     if is_engine(found.problem.augmented.simulator):

@@ -17,6 +17,7 @@ from simgap.diagnosis.inference.misfit.relaxation import misfits
 from simgap.diagnosis.inference.noise.find import noise_effects
 from simgap.diagnosis.inference.search.alternatives import Member, defend, drop_dominated
 from simgap.diagnosis.inference.search.disturbances import pushed
+from simgap.diagnosis.inference.search.late import among_late_rivals
 from simgap.diagnosis.inference.search.onsets import hidden_restriction, restriction
 from simgap.diagnosis.inference.search.posterior import spread
 from simgap.diagnosis.inference.search.select import Inputs, search
@@ -92,6 +93,7 @@ def explain(
         # Outlier rows can produce the gain of a weak member.
         model, members = drop_dominated(best.model, best.members, outlier_gain, report)
         best = _restricted(asked, best._replace(model=model, members=members), outlier_gain)
+        best = best._replace(members=among_late_rivals(best.model, best.members, best.supports))
     best, base = (best, None) if outlier_gain else _disturbed(asked, best, changes)
     report("searching for effects on the noise")
     problem, fit, _ = best.model
@@ -198,8 +200,10 @@ def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
     layout = best.problem.augmented.layout
     while len(best.supports) < MOST_SUPPORTS:
         support = restriction(best.model, best.members, best.supports, best.unseen, asked.report)
-        if not (best.members or outlier_gain):
-            support = hidden_restriction(best.model, best.searched.rounds[0].screening, asked.rng, asked.report)
+        if support is None and not (best.supports or outlier_gain):
+            bare, screening = best.bare(asked.baseline), best.searched.rounds[0].screening
+            gained = best.model.fit.loglik - bare.fit.loglik
+            support = hidden_restriction(bare, screening, gained, asked.rng, asked.report)
         if support is None:
             return best
         supports = (*best.supports, support)

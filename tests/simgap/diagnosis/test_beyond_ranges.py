@@ -28,7 +28,7 @@ def with_effect(name: str, friction: float) -> Explanation:
     effect, base = known(found.problem, name), found.base
     begun = evaluate(found.problem, vary(base.v, effect, effect.starts[0]), effect.groups)
     fit, _ = optimise(found.problem, begun)
-    member = Member(effect, fit.loglik - base.loglik, {effect.effect.id: 1.0}, None, base)
+    member = Member(effect, fit.loglik - base.loglik, {effect.effect.id: 1.0}, (), base)
     return found._replace(fit=fit, members=(member,))
 
 

@@ -34,14 +34,14 @@ class Member(NamedTuple):
     """An accepted effect.
 
     gain: of all accepted effects over those without it [nats]. odds: probability of every effect id that could take its
-    place. rival: the best fitted hypothesis of another id. without: the fitted model that lacks the effect. misfit:
-    further gain [nats] if its law could bend (see `relaxation.misfits`).
+    place. rivals: the best fitted hypothesis of every other id, the best first. without: the fitted model that lacks
+    the effect. misfit: further gain [nats] if its law could bend (see `relaxation.misfits`).
     """
 
     hypothesis: Hypothesis
     gain: float
     odds: dict[str, float]
-    rival: Trial | None
+    rivals: tuple[Trial, ...]
     without: Fit
     misfit: float = 0.0
 
@@ -121,23 +121,28 @@ def drop_dominated(
 
 
 def member(problem: Problem, tried: Sequence[Trial], rest: Fit) -> Member:
-    """Member of the first hypothesis tried, the best; its rival is the best of another id."""
-    own = tried[0]
-    rival = next((t for t in tried if t.hypothesis.effect.id != own.hypothesis.effect.id), None)
-    return Member(own.hypothesis, own.gain, odds(problem, tried), rival, rest)
+    """Member of the first hypothesis tried, the best; those of other ids are its rivals."""
+    own, best = tried[0], _best_of_each(tried)
+    rivals = sorted((t for t in best.values() if t is not best[own.hypothesis.effect.id]), key=lambda t: -t.evidence)
+    return Member(own.hypothesis, own.gain, odds(problem, tried), tuple(rivals), rest)
 
 
 def odds(problem: Problem, tried: Sequence[Trial]) -> dict[str, float]:
     """Posterior probability of each effect id, by its best hypothesis. `tried` begins with the best of all."""
-    starts = blocks(np.asarray(problem.chunks.counts))
+    starts, best = blocks(np.asarray(problem.chunks.counts)), _best_of_each(tried)
+    rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
+    lead, constants = tried[0].hypothesis.effect.id, {k: len(t.hypothesis.groups) for k, t in best.items()}
+    return compared(rows, constants, starts, lead, best[lead].gain)
+
+
+def _best_of_each(tried: Sequence[Trial]) -> dict[str, Trial]:
+    """Of every effect id the hypothesis with most evidence."""
     best: dict[str, Trial] = {}
     for t in tried:
         current = best.get(t.hypothesis.effect.id)
         if current is None or t.evidence > current.evidence:
             best[t.hypothesis.effect.id] = t
-    rows = {k: log_density(t.fit.e, t.fit.noise).sum(1) for k, t in best.items()}
-    lead, constants = tried[0].hypothesis.effect.id, {k: len(t.hypothesis.groups) for k, t in best.items()}
-    return compared(rows, constants, starts, lead, best[lead].gain)
+    return best
 
 
 def compared(

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from simgap.diagnosis.config import LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES, SHORTEST_WINDOW
+from simgap.diagnosis.config import EXPLAINED, LEAST_SHARE, LEVEL, REQUIRED, REQUIRED_OF_REGIMES, SHORTEST_WINDOW
 from simgap.diagnosis.hypotheses.features import of_rows
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind
-from simgap.diagnosis.hypotheses.support import ALWAYS, Support, Window, for_heldout, in_words, opened
+from simgap.diagnosis.hypotheses.support import ALWAYS, From, Support, Window, for_heldout, in_words, opened
 from simgap.diagnosis.inference.evidence.null_distribution import Weighed, blocks, by_chance, weigh_each
 from simgap.diagnosis.inference.evidence.scan import gain_of, narrowest, onset, scores, stretch
 from simgap.diagnosis.inference.evidence.score_test import vary
@@ -54,10 +54,13 @@ def restriction(
         # An effect with a shape constant has an onset of its own.
         free = [(m, h) for m, h in candidates if not any(constant.shapes for constant in h.effect.constants)]
         tried = [r for m, h in free for r in _restrictions(m, h, model.fit.loglik)]
+        # A rival that is fitted as if it acted throughout has moved the parameters: it may gain more than promised.
+        late = [(m, h, from_on(m, h, model.fit.loglik, supports)) for m, h in candidates[1:]]
+        tried += [_Restriction(r.fit.loglik - model.fit.loglik, r.support, h, m) for m, h, r in late if r]
         best = max(tried, key=lambda r: r.promise - required_gain(r.support), default=None)
         if best is None or best.promise <= required_gain(best.support) + misfit:
             continue
-        restricted = _moved_to_support(with_support(best.model, supports, best.support), best.hypothesis, best.support)
+        restricted = moved_to_support(with_support(best.model, supports, best.support), best.hypothesis, best.support)
         extra = restricted.loglik - max(model.fit.loglik, best.model.fit.loglik)
         heldout = for_heldout(layout, unseen, [*supports, best.support])
         if extra > required_gain(best.support) + misfit and (
@@ -68,21 +71,41 @@ def restriction(
     return None
 
 
+class Late(NamedTuple):
+    """A hypothesis fitted from its best time on."""
+
+    support: From
+    fit: Fit
+
+
+def from_on(model: Model, hypothesis: Hypothesis, loglik: float, supports: Sequence[Support]) -> Late | None:
+    """A hypothesis from its best time on, given a model in which it acts throughout, with these supports.
+
+    None if it has an onset of its own, or its scores promise too little: less than half of what it lacks to `loglik`.
+    """
+    problem, fit, _ = model
+    if any(constant.shapes for constant in hypothesis.effect.constants):
+        return None
+    bare = evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise)
+    support, extra = onset(rows_of(problem.chunks), *scores(fit, bare.e, fit.e))
+    if not isinstance(support, From) or extra <= max(REQUIRED, EXPLAINED * (loglik - fit.loglik)):
+        return None
+    return Late(support, moved_to_support(with_support(model, supports, support), hypothesis, support))
+
+
 def _candidates(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Hypothesis]]]:
     """Candidates for a restriction.
 
     First the first member alone, because the others may only undo it where it does not act. Then every member among the
-    others, with its closest rival, which it may beat only because both act throughout.
+    others, with its rivals, which it may beat only because all act throughout.
     """
     if len(members) > 1:
         first, *others = (m.hypothesis for m in members)
         yield [(refitted_without(model, others), first)]
     for m in members:
-        candidates = [(model, m.hypothesis)]
-        if m.rival is not None:
-            fit = evaluate(model.problem, m.rival.fit.v, m.rival.fit.groups)
-            candidates.append((model._replace(fit=fit), m.rival.hypothesis))
-        yield candidates
+        fits = (evaluate(model.problem, t.fit.v, t.fit.groups) for t in m.rivals)
+        rivals = [(model._replace(fit=fit), t.hypothesis) for fit, t in zip(fits, m.rivals, strict=True)]
+        yield [(model, m.hypothesis), *rivals]
 
 
 def _restrictions(model: Model, hypothesis: Hypothesis, loglik: float) -> list[_Restriction]:
@@ -108,11 +131,12 @@ class _Look(NamedTuple):
 
 
 def hidden_restriction(
-    model: Model, screening: Screening, rng: np.random.Generator, report: Reporter
+    model: Model, screening: Screening, gained: float, rng: np.random.Generator, report: Reporter
 ) -> Support | None:
-    """The onset or regime of an effect that does not show over all rows; None if chance may explain it.
+    """The onset or regime of an effect that shows less, or not at all, over all rows; None if chance may explain it.
 
-    Tests the hypotheses of the screening again, after several times, and above and below several edges.
+    Tests the hypotheses of the screening again, after several times, and above and below several edges. model: the one
+    that was screened. gained: by effects found since [nats], which it must exceed.
     """
     problem = model.problem
     rows, values = rows_of(problem.chunks), of_rows(problem.augmented.layout, problem.chunks)
@@ -120,6 +144,8 @@ def hidden_restriction(
     looks = [*_onset_looks(rows), *_regime_looks(values)]
     per_look = weigh_each(screening.evidence, starts, np.array([look.rows for look in looks], bool))
     weighed = Weighed(*(np.concatenate(fields) for fields in zip(*per_look, strict=True)))
+    if weighed.statistic.max(initial=0.0) <= gained + REQUIRED:
+        return None
     chance = by_chance(weighed, rng)
     p_value, threshold = chance.p_value(weighed.statistic.max(initial=0.0)), chance.critical(LEVEL)
     report(f"effects from a time on, or in a regime: p = {p_value:.4f}")
@@ -127,13 +153,14 @@ def hidden_restriction(
     tried = []
     for kind in (of_regimes, ~of_regimes):  # an onset also shows in some regimes, and a regime after some times
         of_kind = np.where(kind[:, None], statistic, 0.0)
-        if of_kind.max() >= threshold:
+        if of_kind.max() >= max(threshold, gained):
             which, best = divmod(int(of_kind.argmax()), len(screening.found))
             tried.append(_restriction_near(model, screening.found[best], looks[which]))
     best = max(tried, key=lambda r: r.promise - required_gain(r.support), default=None)
-    if best is None or best.promise <= required_gain(best.support):
+    if best is None or best.promise <= gained + required_gain(best.support):
         return None
-    report(f"{best.hypothesis.name} acts {in_words(problem.augmented.layout, best.support)} ({best.promise:+.1f} nats)")
+    more = best.promise - gained
+    report(f"{best.hypothesis.name} acts {in_words(problem.augmented.layout, best.support)} ({more:+.1f} nats)")
     return best.support
 
 
@@ -201,7 +228,7 @@ def with_support(model: Model, supports: Sequence[Support], support: Support) ->
     return Model(problem._replace(chunks=chunks), fit._replace(v=fit.v._replace(delta=delta)), nuisance)
 
 
-def _moved_to_support(model: Model, throughout: Hypothesis, support: Support) -> Fit:
+def moved_to_support(model: Model, throughout: Hypothesis, support: Support) -> Fit:
     """The fit with the constants of an effect moved to the last support."""
     problem, fit, nuisance = model
     hypothesis = behind(throughout, support, len(fit.v.delta))
