@@ -16,7 +16,7 @@ from sklearn.metrics import log_loss
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from simgap.diagnosis.validation.calibration import within
+from simgap.diagnosis.validation.calibration import WEIGHTS, features
 from simgap.diagnosis.validation.indicators import Indicators
 from simgap.effects.augmented import Augmented
 from simgap.formats.documents import write_json
@@ -29,11 +29,11 @@ FIT = Path("reports/ground/calibration.json")
 PICTURE = Path("reports/ground/calibration.png")
 LEAST = 100
 """Effects found: with fewer there is nothing to fit."""
-DRAWS = (500, 800, 1100, 1500, 2000)
+DRAWS = (500, 800, 1100, 1500, 2000, 3000)
 """First cases of the later draws; each draw has other machines, laws or lengths than those before. The 59 cases of the
 fifth count with the fourth."""
 PENALTIES = (0.001, 0.003, 0.01, 0.03, 0.1, 1.0)
-"""Inverse strengths of the ridge penalty on standardised indicators; held-out families and draws choose one."""
+"""Inverse strengths of the ridge penalty on standardised features; held-out families and draws choose one."""
 PRIOR = 2.0
 """Wrong findings of an effect that are added at the usual rate, since few were counted."""
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
@@ -101,13 +101,13 @@ class Found(NamedTuple):
         rates = {name: 100 * (wrong[name] + PRIOR) / (possible[name] + PRIOR / usual) for name in wrong}
         return rates, 100 * usual
 
-    def indicators(self, among: Bool[np.ndarray, " c"]) -> Float[np.ndarray, "n i+1"]:
-        """Those of every effect within their ranges, by wrong findings in these cases."""
+    def features(self, among: Bool[np.ndarray, " c"]) -> Float[np.ndarray, "n f"]:
+        """What the weights multiply, for every effect, by wrong findings in these cases."""
         rates, _ = self.mistaken(among)
         return np.array([
-            within(Indicators(*values, mistaken=float(np.log(rates[effect]))))
+            features(Indicators(*values, mistaken=float(np.log(rates[effect]))))
             for values, effect in zip(self.measured.tolist(), self.effects, strict=True)
-        ]).reshape(-1, len(Indicators._fields))  # fmt: skip
+        ]).reshape(-1, len(WEIGHTS))  # fmt: skip
 
 
 def _cells(row: Mapping[str, str]) -> list[tuple[str, str, list[float]]]:
@@ -134,14 +134,14 @@ def calibrate(rows: Sequence[Mapping[str, str]], root: Path) -> str:
     penalty = min(PENALTIES, key=lambda c: sum(loss[c]))
     stated, _ = held_out[penalty]
     everything = np.ones(len(found.numbers), bool)
-    whole = _model(penalty).fit(found.indicators(everything), found.right)
+    whole = _model(penalty).fit(found.features(everything), found.right)
     scale, regression = whole.named_steps["standardscaler"], whole.named_steps["logisticregression"]
     weights = regression.coef_[0] / scale.scale_
     bins = list(_bins(stated, found.right))
     rates, usual = found.mistaken(everything)
     content = {
         "intercept": float(regression.intercept_[0] - weights @ scale.mean_),
-        "weights": dict(zip(Indicators._fields, weights.tolist(), strict=True)),
+        "weights": dict(zip(map(" x ".join, WEIGHTS), weights.tolist(), strict=True)),
         "mistaken_per_hundred": rates, "usually_mistaken": usual,
         "effects": len(stated), "right": float(found.right.mean()), "penalty": penalty,
         "log_loss_of_families_held_out": loss[penalty][0],
@@ -163,26 +163,26 @@ def _model(penalty: float) -> Pipeline:
 
 
 class _Fold(NamedTuple):
-    """Effects of a part that is held out, those of all other cases, and indicators by wrong findings in these."""
+    """Effects of a part that is held out, those of all other cases, and features by wrong findings in these."""
 
     test: Bool[np.ndarray, " n"]
     train: Bool[np.ndarray, " n"]
-    indicators: Float[np.ndarray, "n i"]
+    features: Float[np.ndarray, "n f"]
 
 
 def _folds(found: Found, parts: Sequence[Bool[np.ndarray, " c"]]) -> list[_Fold]:
     """A fold for every part in which something was found. A single part is not held out: all train."""
     kept = [(part, ~part if len(parts) > 1 else part) for part in parts if part[found.case].any()]
-    return [_Fold(part[found.case], others[found.case], found.indicators(others)) for part, others in kept]
+    return [_Fold(part[found.case], others[found.case], found.features(others)) for part, others in kept]
 
 
 def _held_out(found: Found, folds: Sequence[_Fold], penalty: float) -> Float[np.ndarray, " n"]:
     """The probability of every effect, fitted to the cases without its part; of several parts, the mean."""
     stated, times = np.zeros(len(found.right)), np.zeros(len(found.right))
-    for test, train, indicators in folds:
-        model = _model(penalty).fit(indicators[train], found.right[train])
-        stated[test] += model.predict_proba(indicators[test])[:, 1]
-        times[test] += 1
+    for fold in folds:
+        model = _model(penalty).fit(fold.features[fold.train], found.right[fold.train])
+        stated[fold.test] += model.predict_proba(fold.features[fold.test])[:, 1]
+        times[fold.test] += 1
     return stated / times
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from simgap.diagnosis.config import KNOWN
 from simgap.diagnosis.inference.noise.effect import NoiseEffect, Spectrum
 from simgap.diagnosis.validation.adequacy import Verdict, is_likely
-from simgap.diagnosis.validation.calibration import TERMS, probability, within
+from simgap.diagnosis.validation.calibration import RANGES, probability
 from simgap.diagnosis.validation.indicators import Indicators
 from simgap.diagnosis.validation.mistaken import PER_HUNDRED, USUAL, mistaken
 from simgap.types import Field
@@ -59,18 +59,19 @@ def test_a_name_needs_a_likely_set_and_a_probability_of_its_own(odds: float, kno
 def test_it_is_a_probability_and_beyond_experience_that_at_its_end(of: Indicators) -> None:
     p = probability(of)
     assert 0 < p < 1
-    assert p == probability(within(of))
+    ends = {name: float(np.clip(getattr(of, name), *range_)) for name, range_ in RANGES.items()}
+    assert p == probability(Indicators(**ends))
 
 
 def test_what_scales_the_simulator_is_mistaken_more_often_than_a_limit() -> None:
     assert mistaken("asymmetric_gain") > mistaken("sensor_scale") > mistaken("saturation") > mistaken("rate_limit")
     assert mistaken("slope") == np.log(USUAL)
-    assert all(TERMS["mistaken"].low <= mistaken(name) <= TERMS["mistaken"].high for name in PER_HUNDRED)
+    assert all(RANGES["mistaken"][0] <= mistaken(name) <= RANGES["mistaken"][1] for name in PER_HUNDRED)
 
 
 @pytest.mark.parametrize("name", ["lesser", "misfit", "far", "nameless", "rivals", "mistaken"])
 def test_what_speaks_against_a_name_makes_it_less_likely(name: str) -> None:
-    assert probability(PLAIN._replace(**{name: TERMS[name].high})) < probability(PLAIN)
+    assert probability(PLAIN._replace(**{name: RANGES[name][1]})) < probability(PLAIN)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,9 @@ def test_cases_from_the_first_on_are_of_it(number: int) -> None:
     case = draw(number)
     assert case.machine is SPOT
     assert all(np.isfinite(r.state).all() for r in (*case.sessions.fitted, *case.sessions.heldout))
+
+
+def test_the_case_before_is_not() -> None:
     assert draw(FIRST - 1).machine is not SPOT
 
 
