@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 from planted import SCALES, SPOT
-from small import RICH, acting, problem, sessions
+from small import RICH, acting, explain, problem, sessions
 
 from simgap.diagnosis.hypotheses.space import hypotheses_of
 from simgap.diagnosis.hypotheses.support import From
@@ -57,3 +57,12 @@ def test_a_time_costs_as_much_as_a_restriction_must_gain() -> None:
     training, _ = sessions(acting("delay", (1.0,), (0,)), RICH)
     model, late = accepted(training, ["delay on cmd_base_vx", "lag on cmd_base_vx"])
     assert among_late_rivals(model, [late], ())[0] is late
+
+
+def test_what_shows_late_displaces_what_seems_to_act_throughout() -> None:
+    """Over all rows the dead band is no rival of the drift that stands in for it: that explains half as much."""
+    found = explain(*sessions({}, 7, during=acting("deadband", (0.06,), (3,)), from_s=7.0))
+    (member,) = found.members
+    assert member.hypothesis.name == "deadband on cmd_ee_vx"
+    assert isinstance(member.hypothesis.support, From)
+    assert member.hypothesis.support.from_s == pytest.approx(7.0, abs=0.2)
