@@ -25,7 +25,7 @@ be named: below, it is likelier that it has no name."""
 EXPLAINED = 0.5
 """Minimum share of what there is to explain that an effect, or all of them together, must explain, and of its gain with
 an engine's tables that it must also have with the engine itself: below it, something unnamed explains more.
-Also of what a rival lacks that scores must promise from a time on."""
+Also of what a rival lacks to be level that its scores must promise, for it to be fitted from a time on."""
 BLOCK = 20
 """Rows per block; scores of rows in the same block are treated as dependent."""
 LEAST_BLOCK = 4

@@ -238,7 +238,8 @@ def test_a_store_is_for_its_owner_alone(root: Path) -> None:
     assert (root / "mlflow.db").stat().st_mode & 0o777 == 0o600
 
 
-def test_a_read_only_store_is_told_of(root: Path) -> None:
+def test_a_read_only_store_is_told_of(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(root)  # MLflow makes a folder by the name of what it takes for a path
     uri = f"sqlite:///file:{root / 'mlflow.db'}?mode=ro&uri=true"
     with pytest.raises(StoreError, match=r"refused .*readonly.* may be written to"):
         logged(open_store(root, "grid", uri))

@@ -60,7 +60,7 @@ def restriction(
         best = max(tried, key=lambda r: r.promise - required_gain(r.support), default=None)
         if best is None or best.promise <= required_gain(best.support) + misfit:
             continue
-        restricted = moved_to_support(with_support(best.model, supports, best.support), best.hypothesis, best.support)
+        restricted = _moved_to_support(with_support(best.model, supports, best.support), best.hypothesis, best.support)
         extra = restricted.loglik - max(model.fit.loglik, best.model.fit.loglik)
         heldout = for_heldout(layout, unseen, [*supports, best.support])
         if extra > required_gain(best.support) + misfit and (
@@ -90,7 +90,7 @@ def from_on(model: Model, hypothesis: Hypothesis, loglik: float, supports: Seque
     support, extra = onset(rows_of(problem.chunks), *scores(fit, bare.e, fit.e))
     if not isinstance(support, From) or extra <= max(REQUIRED, EXPLAINED * (loglik - fit.loglik)):
         return None
-    return Late(support, moved_to_support(with_support(model, supports, support), hypothesis, support))
+    return Late(support, _moved_to_support(with_support(model, supports, support), hypothesis, support))
 
 
 def _candidates(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Hypothesis]]]:
@@ -228,7 +228,7 @@ def with_support(model: Model, supports: Sequence[Support], support: Support) ->
     return Model(problem._replace(chunks=chunks), fit._replace(v=fit.v._replace(delta=delta)), nuisance)
 
 
-def moved_to_support(model: Model, throughout: Hypothesis, support: Support) -> Fit:
+def _moved_to_support(model: Model, throughout: Hypothesis, support: Support) -> Fit:
     """The fit with the constants of an effect moved to the last support."""
     problem, fit, nuisance = model
     hypothesis = behind(throughout, support, len(fit.v.delta))
