@@ -117,8 +117,7 @@ def _rolling(xp: Any, q: Any, v: Any) -> list[Any]:
 
 def _state(name: str, body: str, kind: Kind, axis: Axis) -> Field:
     """Of a position, an angle or a velocity in the world."""
-    turns = axis == "yaw"
-    unit = {True: "rad", False: "m"}[turns] + ("/s" if kind == "velocity" else "")
+    unit = ("rad" if axis == "yaw" else "m") + ("/s" if kind == "velocity" else "")
     return Field(name, unit, kind, "world", body, axis)
 
 
@@ -131,6 +130,13 @@ def _force(name: str, body: str, axis: Axis) -> Field:
     return Field(name, "N m" if axis == "yaw" else "N", "force", "body", body, axis)
 
 
+def _joints(first: tuple[str, str, Axis], second: tuple[str, str, Axis]) -> tuple[Field, ...]:
+    """Positions and velocities of two axes, each given by name, body and direction."""
+    axes = first, second
+    positions = (_state(name, body, "angle" if axis == "yaw" else "position", axis) for name, body, axis in axes)
+    return *positions, *(_state(f"{name}_vel", body, "velocity", axis) for name, body, axis in axes)
+
+
 def _pose(body: str) -> tuple[Field, Field, Field]:
     x, y = (_state(axis, body, "position", axis) for axis in ("x", "y"))
     return x, y, _state("yaw", body, "angle", "yaw")
@@ -139,12 +145,7 @@ def _pose(body: str) -> tuple[Field, Field, Field]:
 TROLLEY = Coupled(
     "trolley",
     Schema(
-        (
-            _state("trolley", "trolley", "position", "x"),
-            _state("pole", "pole", "angle", "yaw"),
-            _state("trolley_vel", "trolley", "velocity", "x"),
-            _state("pole_vel", "pole", "velocity", "yaw"),
-        ),
+        _joints(("trolley", "trolley", "x"), ("pole", "pole", "yaw")),
         (_force("force", "trolley", "x"),),
     ),
     (
@@ -161,12 +162,7 @@ TROLLEY = Coupled(
 TWO_LINKS = Coupled(
     "links",
     Schema(
-        (
-            _state("shoulder", "upper", "angle", "yaw"),
-            _state("elbow", "lower", "angle", "yaw"),
-            _state("shoulder_vel", "upper", "velocity", "yaw"),
-            _state("elbow_vel", "lower", "velocity", "yaw"),
-        ),
+        _joints(("shoulder", "upper", "yaw"), ("elbow", "lower", "yaw")),
         (_force("shoulder_torque", "upper", "yaw"), _force("elbow_torque", "lower", "yaw")),
     ),
     (

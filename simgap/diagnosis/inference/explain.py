@@ -201,7 +201,8 @@ def _restricted(asked: _Asked, best: _Found, outlier_gain: float) -> _Found:
     while len(best.supports) < MOST_SUPPORTS:
         support = restriction(best.model, best.members, best.supports, best.unseen, asked.report)
         if support is None and not (best.supports or outlier_gain):
-            bare, screening = best.bare(asked.baseline), best.searched.rounds[0].screening
+            bare = best.bare(asked.baseline) if best.members else best.model
+            screening = best.searched.rounds[0].screening
             gained = best.model.fit.loglik - bare.fit.loglik
             support = hidden_restriction(bare, screening, gained, asked.rng, asked.report)
         if support is None:

@@ -9,8 +9,8 @@ from simgap.diagnosis.hypotheses.support import ALWAYS, Support
 from simgap.diagnosis.inference.evidence.null_distribution import blocks
 from simgap.diagnosis.inference.fitting.model import Model
 from simgap.diagnosis.inference.search.alternatives import Member, compared
-from simgap.diagnosis.inference.search.onsets import from_on
-from simgap.diagnosis.likelihood.problem import Fit, evaluate
+from simgap.diagnosis.inference.search.onsets import as_throughout, from_on
+from simgap.diagnosis.likelihood.problem import Fit
 from simgap.diagnosis.likelihood.student_t import log_density
 
 
@@ -25,13 +25,13 @@ def among_late_rivals(model: Model, members: Sequence[Member], supports: Sequenc
 
 def _compared(model: Model, member: Member, supports: Sequence[Support]) -> Member:
     """The member; with other odds, if some rivals fit better from a time on."""
-    problem, fit, nuisance = model
+    problem, fit, _ = model
     named: dict[str, Fit] = {member.hypothesis.effect.id: fit}
     cost = {member.hypothesis.effect.id: 0.0}
     for t in member.rivals:
-        throughout = evaluate(problem, t.fit.v, t.fit.groups)
-        late = from_on(Model(problem, throughout, nuisance), t.hypothesis, fit.loglik, supports)
-        named[t.hypothesis.effect.id] = late.fit if late else throughout
+        throughout = as_throughout(model, t)
+        late = from_on(throughout, t.hypothesis, fit.loglik, supports)
+        named[t.hypothesis.effect.id] = (late or throughout).fit
         cost[t.hypothesis.effect.id] = REQUIRED if late else 0.0
     if not any(cost.values()):
         return member

@@ -17,7 +17,7 @@ from simgap.diagnosis.inference.evidence.score_test import vary
 from simgap.diagnosis.inference.evidence.screening import Screened, Screening
 from simgap.diagnosis.inference.fitting.gauss_newton import hold, refine
 from simgap.diagnosis.inference.fitting.heldout import gain
-from simgap.diagnosis.inference.fitting.model import Model, Reporter, refitted_without, without
+from simgap.diagnosis.inference.fitting.model import Model, Reporter, Trial, refitted_without, without
 from simgap.diagnosis.inference.search.alternatives import Member
 from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, trials
 from simgap.diagnosis.likelihood.segments import Chunks, Rows, rows_of
@@ -51,9 +51,7 @@ def restriction(
     throughout = tuple(m for m in members if m.hypothesis.support == ALWAYS)
     misfit = LEAST_SHARE * sum(m.gain for m in members if m.hypothesis.support != ALWAYS)
     for candidates in _candidates(model, throughout):
-        # An effect with a shape constant has an onset of its own.
-        free = [(m, h) for m, h in candidates if not any(constant.shapes for constant in h.effect.constants)]
-        tried = [r for m, h in free for r in _restrictions(m, h, model.fit.loglik)]
+        tried = [r for m, h in candidates if not _has_onset(h) for r in _restrictions(m, h, model.fit.loglik)]
         # A rival that is fitted as if it acted throughout has moved the parameters: it may gain more than promised.
         late = [(m, h, from_on(m, h, model.fit.loglik, supports)) for m, h in candidates[1:]]
         tried += [_Restriction(r.fit.loglik - model.fit.loglik, r.support, h, m) for m, h, r in late if r]
@@ -83,14 +81,28 @@ def from_on(model: Model, hypothesis: Hypothesis, loglik: float, supports: Seque
 
     None if it has an onset of its own, or its scores promise too little: less than half of what it lacks to `loglik`.
     """
-    problem, fit, _ = model
-    if any(constant.shapes for constant in hypothesis.effect.constants):
+    if _has_onset(hypothesis):
         return None
-    bare = evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise)
-    support, extra = onset(rows_of(problem.chunks), *scores(fit, bare.e, fit.e))
-    if not isinstance(support, From) or extra <= max(REQUIRED, EXPLAINED * (loglik - fit.loglik)):
+    support, extra = onset(rows_of(model.problem.chunks), *_scores(model, hypothesis))
+    if not isinstance(support, From) or extra <= max(REQUIRED, EXPLAINED * (loglik - model.fit.loglik)):
         return None
     return Late(support, _moved_to_support(with_support(model, supports, support), hypothesis, support))
+
+
+def as_throughout(model: Model, rival: Trial) -> Model:
+    """The model with a rival, which acts throughout, in the place of the effect that it competes with."""
+    return model._replace(fit=evaluate(model.problem, rival.fit.v, rival.fit.groups))
+
+
+def _has_onset(hypothesis: Hypothesis) -> bool:
+    """Whether an effect has an onset of its own: one with a shape constant has."""
+    return any(constant.shapes for constant in hypothesis.effect.constants)
+
+
+def _scores(model: Model, hypothesis: Hypothesis) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Score and information of every row for an effect of the model (see `scores`)."""
+    problem, fit, _ = model
+    return scores(fit, evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise).e, fit.e)
 
 
 def _candidates(model: Model, members: tuple[Member, ...]) -> Iterator[list[tuple[Model, Hypothesis]]]:
@@ -103,22 +115,19 @@ def _candidates(model: Model, members: tuple[Member, ...]) -> Iterator[list[tupl
         first, *others = (m.hypothesis for m in members)
         yield [(refitted_without(model, others), first)]
     for m in members:
-        fits = (evaluate(model.problem, t.fit.v, t.fit.groups) for t in m.rivals)
-        rivals = [(model._replace(fit=fit), t.hypothesis) for fit, t in zip(fits, m.rivals, strict=True)]
-        yield [(model, m.hypothesis), *rivals]
+        yield [(model, m.hypothesis), *((as_throughout(model, t), t.hypothesis) for t in m.rivals)]
 
 
 def _restrictions(model: Model, hypothesis: Hypothesis, loglik: float) -> list[_Restriction]:
     """The best onset, window and regime of a hypothesis, given its fit as if it acted throughout."""
-    problem, fit, _ = model
-    rows, values = rows_of(problem.chunks), _features_of_others(problem, hypothesis)
-    score, power = scores(fit, evaluate(problem, without(fit, hypothesis.groups).v, (), fit.noise).e, fit.e)
-    from_on, a = onset(rows, score, power)
+    rows, values = rows_of(model.problem.chunks), _features_of_others(model.problem, hypothesis)
+    score, power = _scores(model, hypothesis)
+    later, a = onset(rows, score, power)
     during, b = stretch(rows, score, power, SHORTEST_WINDOW)
     regime, c = narrowest(values, score, power, LEAST_SHARE)
     # Where it acts throughout, a rival may fit better than the model: that is no reason for a restriction.
-    throughout, ahead = float(gain_of(score.sum(), power.sum())), min(fit.loglik - loglik, 0.0)
-    supports = ((from_on, a), (during, b - throughout), (regime, c))
+    throughout, ahead = float(gain_of(score.sum(), power.sum())), min(model.fit.loglik - loglik, 0.0)
+    supports = ((later, a), (during, b - throughout), (regime, c))
     return [_Restriction(ahead + extra, support, hypothesis, model) for support, extra in supports]
 
 
