@@ -15,13 +15,11 @@ KEY = ("suite", "code", "round")
 
 
 def add(workspace: SealedWorkspace, about: Mapping[str, Any], table: Sequence[Score]) -> None:
-    """Write the scores that have cases to the table of all suites, in place of earlier ones of the same key.
+    """Write scores to the table of all suites, in place of earlier ones of the same key.
 
     about: suite, code, round, and what else is known, the same for every score.
     """
-    scores = [
-        {**about, "score": s.name, "value": s.value, "low": s.low, "high": s.high, "n": s.n} for s in table if s.n
-    ]
+    scores = [{**about, "score": s.name, "value": s.value, "low": s.low, "high": s.high, "n": s.n} for s in table]
     make_folder(workspace.history_lock.parent)
     with open(workspace.history_lock, "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # suites are scored side by side

@@ -54,7 +54,11 @@ def average(
 
 
 def table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
-    """Every score of the suite."""
+    """Every score that the suite has cases for."""
+    return [score for score in _table(rows, rng) if score.n]
+
+
+def _table(rows: Sequence[Row], rng: np.random.Generator) -> list[Score]:
     of = lambda *kinds: [r for r in rows if r["kind"] in kinds]  # noqa: E731
     nulls, singles, duels = of("null"), of("single"), of("duel")
     known = [r for r in of("single", "duel", "regime", "onset") if r["strength"] >= SEEN]
@@ -121,8 +125,8 @@ HEADLINE = {
 
 
 def headline(table: Sequence[Score]) -> dict[str, float]:
-    """The few scores by which versions of the diagnosis are compared, of those that the suite has cases for."""
-    return {HEADLINE[score.name]: score.value for score in table if score.name in HEADLINE and score.n}
+    """The few scores by which versions of the diagnosis are compared."""
+    return {HEADLINE[score.name]: score.value for score in table if score.name in HEADLINE}
 
 
 def at_least(rows: Sequence[Row], strength: float) -> list[Row]:

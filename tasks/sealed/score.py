@@ -173,7 +173,7 @@ def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Pa
     truth = row["truth"] or "nothing"
     said = row["answer"] or row["verdict"].replace("_", " ")
     probability = "" if np.isnan(row["probability"]) else f" ({row['probability']:.2f})"
-    title = f"{row['case']}: {row['fault']}. Truth: {truth}, {row['strength']:.0f} nats. Told: {said}{probability}"
+    title = f"{row['case']}: {row['fault']}. Truth: {truth}, {row['strength']:.0f} nats. Answer: {said}{probability}"
     figures.failure(path, title, STATE, order, None if where is None else where[:, 1:], dpi)
 
 
@@ -181,7 +181,7 @@ def _picture(workspace: SealedWorkspace, row: Row, key: dict[str, Any], path: Pa
 def log(run: Run, workspace: SealedWorkspace, opened: Opened, table: Sequence[metrics.Score]) -> None:
     """Scores and report of the suite, so that versions of the diagnosis are compared over time."""
     run.params({"suite": workspace.suite, "round": opened.manifest["round"], "code": opened.code})
-    run.scores({_metric(s.name): s.value for s in table if s.n})
+    run.scores({_metric(s.name): s.value for s in table})
     for path in sorted(_folder(workspace, opened).glob("*.*")):
         run.artifact(path)
 

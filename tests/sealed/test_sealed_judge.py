@@ -188,5 +188,6 @@ def test_the_table_counts_each_kind_by_itself() -> None:
     assert found["top-1, 10 nats"] == (0.0, 1)
     assert found["confident-wrong on duels"] == (1.0, 1)
     assert found["wrong names outside the vocabulary"] == (1.0, 1)
+    assert "set F1, pairs" not in found  # no score of kinds that the suite does not have
     bins = metrics.power(rows)
     assert [(b["n"], b["right"]) for b in bins] == [(0, 0.0), (1, 0.0), (0, 0.0), (2, 0.5), (0, 0.0)]

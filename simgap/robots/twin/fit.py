@@ -22,7 +22,7 @@ from simgap.robots.twin import rows
 from simgap.robots.twin.config import Config
 from simgap.robots.twin.model import Twin
 from simgap.robots.twin.rows import Rows
-from simgap.robots.twin.windows import Windows, cut, errors, predict
+from simgap.robots.twin.windows import Windows, cut, errors, padded, predict
 from simgap.simulators import parameter_ranges
 from simgap.simulators.spot import SCHEMA, to_body
 from simgap.types import DivergenceError, Recording, RecordingError, Report, Simulator
@@ -41,6 +41,14 @@ class Problem(NamedTuple):
     reach: Float[Array, ""]
     half: Float[Array, " p"]
     scale: Float[Array, " 12"]
+
+
+class Pool(NamedTuple):
+    """Windows, and how many of them, from the first on, batches are drawn from: so a fit to some of the sessions and one
+    to all of them run the same program."""
+
+    windows: Windows
+    count: int
 
 
 def fit(
@@ -66,8 +74,9 @@ def fit(
     windows = jax.tree.map(lambda *parts: jnp.concatenate(parts), first, heldout)
     problem = _problem(model, jnp.asarray(rows.reach(sessions), jnp.float32), windows)
     later: Report = lambda done, metrics: report(of_rows.simulator_steps + done, metrics)  # noqa: E731
-    steps = _choose(key_fit, problem, (first, heldout), config, later)
-    return _twin(problem, _train(key_fit, problem, windows, config, steps), replayed)
+    everything = padded(windows)
+    steps = _choose(key_fit, problem, (Pool(everything, len(first.duration)), heldout), config, later)
+    return _twin(problem, _train(key_fit, problem, Pool(everything, len(windows.duration)), config, steps), replayed)
 
 
 def _single_rows(
@@ -132,7 +141,7 @@ def _error(variables: dict[str, Any], problem: Problem, windows: Windows) -> Flo
     return (jnp.abs(errors(predicted, windows)) / problem.scale).mean()
 
 
-def _choose(key: PRNGKeyArray, problem: Problem, parts: tuple[Windows, Windows], config: Config, report: Report) -> int:
+def _choose(key: PRNGKeyArray, problem: Problem, parts: tuple[Pool, Windows], config: Config, report: Report) -> int:
     """The number of steps of the least error on the second part, fitted to the first; 0 is one of them."""
     training, heldout = parts
     curve = {0: float(_error(_variables(problem), problem, heldout))}
@@ -151,7 +160,7 @@ def _choose(key: PRNGKeyArray, problem: Problem, parts: tuple[Windows, Windows],
 def _train(
     key: PRNGKeyArray,
     problem: Problem,
-    windows: Windows,
+    training: Pool,
     config: Config,
     steps: int,
     watch: Callable[[int, dict[str, Any]], None] = lambda *_: None,
@@ -160,7 +169,7 @@ def _train(
     variables = _variables(problem)
     state = _optimiser(config).init(variables)
     for done in range(config.evaluate_every, steps + 1, config.evaluate_every):
-        variables, state = _run((variables, state), jax.random.fold_in(key, done), problem, windows, config)
+        variables, state = _run((variables, state), jax.random.fold_in(key, done), problem, training, config)
         watch(done, variables)
     return variables
 
@@ -179,13 +188,14 @@ def _optimiser(config: Config) -> optax.GradientTransformation:
 
 @partial(jax.jit, static_argnames="config")
 def _run(
-    carry: tuple[dict[str, Any], Any], key: PRNGKeyArray, problem: Problem, windows: Windows, config: Config
+    carry: tuple[dict[str, Any], Any], key: PRNGKeyArray, problem: Problem, training: Pool, config: Config
 ) -> tuple[dict[str, Any], Any]:
-    optimiser, count = _optimiser(config), len(windows.duration)
+    optimiser, (windows, count) = _optimiser(config), training
+    size = min(config.batch_size, len(windows.duration))
 
     def step(carry: tuple[dict[str, Any], Any], key: Array) -> tuple[tuple[dict[str, Any], Any], None]:
         variables, state = carry
-        some = jax.random.randint(key, (min(config.batch_size, count),), 0, count)
+        some = jax.random.randint(key, (size,), 0, count)
         gradient = jax.grad(_error)(variables, problem, jax.tree.map(lambda a: a[some], windows))
         updates, state = optimiser.update(gradient, state, variables)
         return (cast(Any, optax.apply_updates(variables, updates)), state), None

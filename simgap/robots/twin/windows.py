@@ -32,6 +32,13 @@ def cut(sessions: Sequence[Rows], horizon: int, stride: int) -> Windows:
     return Windows(*(jnp.asarray(np.stack(part), jnp.float32) for part in zip(*found, strict=True)))
 
 
+def padded(windows: Windows) -> Windows:
+    """Windows up to the next power of two, by repeating the last: numbers that are close run the same program."""
+    count = len(windows.duration)
+    some = np.minimum(np.arange(1 << (count - 1).bit_length()), count - 1)
+    return jax.tree.map(lambda a: a[some], windows)
+
+
 def predict(
     model: ResidualModel,
     ages: Float[Array, " 2"],
