@@ -35,9 +35,12 @@ def factor(unit: str, wanted: str) -> float:
     return known[unit]
 
 
-def yaw(x: float, y: float, z: float, w: float) -> float:
-    """The angle about the vertical of a unit quaternion [rad]."""
-    return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+def angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """Yaw, pitch and roll of a unit quaternion [rad]: about z, then about the new y, then about the newest x."""
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    return float(yaw), float(pitch), float(roll)
 
 
 def align(

@@ -128,5 +128,5 @@ def _rows(engine: Engine, *given: np.ndarray) -> np.ndarray:
     # Batches are filled up by repetition: equal rows are stepped once.
     flat = np.hstack([a.reshape(count, -1) for a in rows])
     first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)[1:]
-    then = engine.rows(phi.reshape(-1, phi.shape[-1])[0], *(a[first] for a in rows))
+    then = engine.rows(phi[(0,) * (phi.ndim - 1)], *(a[first] for a in rows))
     return then[back.ravel()].astype(np.float32)

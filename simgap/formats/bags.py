@@ -15,11 +15,12 @@ _SHOWN = 200  # characters of a bag's own text in a message
 
 
 class Wanted(NamedTuple):
-    """Where a column comes from: a topic, a field of its messages, and whether stamps are those of the headers or the
-    receive times."""
+    """Where a column comes from: a topic, a field of its messages, the angle that is taken of a quaternion, and whether
+    stamps are those of the headers or the receive times."""
 
     topic: str
     field: str
+    angle: str
     by_header: bool
 
 
@@ -36,7 +37,7 @@ def columns(path: Path, wanted: Mapping[str, Wanted]) -> dict[str, tuple[np.ndar
             stamp = _stamp(message, path) if wanted[name].by_header else message.received_ns
             first = stamp if first is None else first
             times[name].append((stamp - first) * 1e-9)  # nanoseconds since 1970 do not fit a float
-            values[name].append(_value(message.content, wanted[name].field, f"{path}: topic {message.topic}"))
+            values[name].append(_value(message.content, wanted[name], path))
             if len(values[name]) > MOST_ROWS:
                 raise RecordingError(f"{path}: topic {message.topic} has more than {MOST_ROWS:,} messages, the most of "
                                      "a session. Split the bag.")  # fmt: skip
@@ -71,8 +72,8 @@ def _member(content: Any, name: str) -> Any:
     return None if name.startswith("_") else getattr(content, name, None)
 
 
-def _value(content: Any, field: str, where: str) -> float:
-    value = content
+def _value(content: Any, wanted: Wanted, path: Path) -> float:
+    value, field, where = content, wanted.field, f"{path}: topic {wanted.topic}"
     for name in field.split("."):
         inner = _member(value, name)
         if inner is None:
@@ -82,10 +83,11 @@ def _value(content: Any, field: str, where: str) -> float:
     parts = [_member(value, axis) for axis in "xyzw"]
     try:
         if all(part is not None for part in parts):
-            return resample.yaw(*(float(part) for part in parts))
+            angles = resample.angles(*(float(part) for part in parts))
+            return angles[("yaw", "pitch", "roll").index(wanted.angle)]
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise RecordingError(f"{where}: {field!r} must be a number, or a quaternion of which the yaw is taken; it "
+        raise RecordingError(f"{where}: {field!r} must be a number, or a quaternion of which an angle is taken; it "
                              f"is {type(value).__name__}. Name one of its own fields.") from None  # fmt: skip
 
 

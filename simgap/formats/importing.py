@@ -146,5 +146,6 @@ def _of_bag(path: Path, mapping: MappingFile) -> Raw:
     for name, column in mapping.columns.items():
         if not column.topic:
             raise ConfigError(f"{path}: is a bag, and the mapping names no topic for {name}. Add `topic` and `field`.")
-        wanted[name] = bags.Wanted(column.topic, column.field, (column.time or mapping.time.bag) == "header")
+        by_header = (column.time or mapping.time.bag) == "header"
+        wanted[name] = bags.Wanted(column.topic, column.field, column.angle, by_header)
     return bags.columns(path, wanted)

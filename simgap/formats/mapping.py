@@ -32,7 +32,8 @@ class Column(_Block):
     """Where a column of the schema comes from."""
 
     topic: str = Field("", description="Of a bag.")
-    field: str = Field("", description="Of its messages, like pose.pose.position.x or data.0; a quaternion for a yaw.")
+    field: str = Field("", description="Of its messages, like pose.pose.position.x or data.0, or a quaternion.")
+    angle: Literal["yaw", "pitch", "roll"] = Field("yaw", description="Which one of a quaternion is taken.")
     column: str = Field(
         "", description="Of a table; of a LeRobot data set, a feature and its entry, joined by a point."
     )

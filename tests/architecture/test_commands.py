@@ -70,7 +70,8 @@ COVERED = {
     # Python, by the first line of a block
     r">>> (import simgap|robot = simgap\.load.*)": ("simgap/test_api.py::test_the_pages_about_it_work", "exec(block"),
     r">>> import mlflow": ("flows/test_operate.py::test_the_best_model", "exec(lines"),
-    r">>> from pathlib import Path": ("simgap/simulators/mujoco/test_mujoco_docs.py::test_the_code", "exec(compile"),
+    r">>> from (pathlib import Path|scipy.spatial.transform import Rotation)": (
+        "simgap/simulators/mujoco/test_mujoco_docs.py::test_the_code", "exec(compile"),
     r">>> import jax\.numpy as jnp": ("examples/test_examples.py::test_the_pages_example", "exec(printed()"),
     r">>> policy = mlflow\.pyfunc\.load_model.*": ("flows/test_pipeline.py::test_policies_are_learnt", "load_model"),
 }  # fmt: skip

@@ -36,7 +36,8 @@ def tabulated(
     scored = np.asarray(chunks.counts).any(1)  # the others are padding
 
     def by_row(a: Any) -> np.ndarray:
-        return np.asarray(a)[scored].reshape(-1, *a.shape[2:])
+        kept = np.asarray(a)[scored]
+        return kept.reshape(kept.shape[0] * kept.shape[1], *kept.shape[2:])  # some have no columns
 
     points = Points(np.asarray(v.phi), *map(by_row, (terms_in_rows(augmented, v, chunks), x, command)))
     if derivatives is None:

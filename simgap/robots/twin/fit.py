@@ -44,11 +44,13 @@ class Problem(NamedTuple):
 
 
 class Pool(NamedTuple):
-    """Windows, and how many of them, from the first on, batches are drawn from: so a fit to some of the sessions and one
-    to all of them run the same program."""
+    """Windows, and how many of them, from the first on, batches are drawn from.
+
+    So a fit to some of the sessions and one to all of them run the same program.
+    """
 
     windows: Windows
-    count: int
+    size: int
 
 
 def fit(

@@ -74,7 +74,7 @@ def parameters(model: mujoco.MjModel, machine: Machine) -> tuple[Scaled, ...]:
     """The parameters: what the model sets of its actuators and joints. Masses and geometry are taken as they are."""
     scaled = [gain for a in machine.actuators if (gain := _gain(model, a)) is not None]
     for kind in ("damping", "frictionloss", "armature", "stiffness"):
-        for joint in machine.joints:
+        for joint in (j for j in machine.joints if not j.floating):
             slots = joint_slots(model, joint, kind)
             size = sum(abs(s.value(model)) for s in slots)
             if size:

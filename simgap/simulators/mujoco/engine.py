@@ -181,7 +181,7 @@ class MujocoEngine:
         joints = {j.name: j for j in self.machine.joints}
         columns = []
         for field in self.schema.state:
-            if field.kind == "position":
+            if field.kind in ("position", "angle"):
                 columns.append(qpos + joints[field.body].qpos)
             elif field.kind == "velocity":
                 columns.append(qvel + joints[field.body].dof)

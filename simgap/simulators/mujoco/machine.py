@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from simgap.simulators.mujoco.floating import parts
 from simgap.simulators.mujoco.parts import Actuator, Deflection, Follower, Joint
 from simgap.types import Field, Kind, Schema, SimgapError
 
@@ -41,7 +42,7 @@ class Machine:
     @property
     def schema(self) -> Schema:
         """Positions, recorded velocities, other velocities, states of actuators, deflection; and the commands."""
-        position = [Field(f"{j.name}_pos", j.unit, "position", "body", j.name, j.axis) for j in self.joints]
+        position = [Field(f"{j.name}_pos", j.unit, j.kind, "body", j.name, j.axis) for j in self.joints]
         velocity = [
             Field(f"{j.name}_vel", f"{j.unit}/s", "velocity", "body", j.name, j.axis, j.speed_recorded, j.effort)
             for j in self.joints
@@ -82,8 +83,10 @@ def _command(actuator: Actuator) -> Field:
     return Field(name, unit, actuator.kind, "body", joint.name, joint.axis)
 
 
-def machine(model: mujoco.MjModel, columns: Collection[str] | None) -> Machine:
+def machine(model: mujoco.MjModel, columns: Collection[str] | None, floating: Collection[str] = ()) -> Machine:
     """What can be diagnosed with recordings that have these columns; None: all columns that the model could have.
+
+    floating: names of joints in place of free ones.
 
     Raises:
         SimgapError: no joint is left.
@@ -97,11 +100,13 @@ def machine(model: mujoco.MjModel, columns: Collection[str] | None) -> Machine:
         columns |= {f"cmd_{model.actuator(a).name}" for a in range(count(model))}
     recorded = [j for j in scalar if f"{names[j]}_pos" in columns]
     if not recorded:
+        free = [names[j] for j in range(model.njnt) if model.jnt_type[j] == FREE]
+        could = (*(names[j] for j in scalar), *(part for name in free for part in parts(name)))
         raise SimgapError(
             "No joint of the model can be diagnosed: the recordings need a column <joint>_pos for at least one of: "
-            f"{', '.join(names[j] for j in scalar) or '(the model has no hinge or slide joint)'}."
+            f"{', '.join(could) or '(the model has no joint but ball joints)'}."
         )
-    joints = tuple(_joint(model, j, f"{names[j]}_vel" in columns) for j in recorded)
+    joints = tuple(_joint(model, j, f"{names[j]}_vel" in columns, names[j] in floating) for j in recorded)
     follows = {j: f for j, f in coupled.items() if j not in recorded and f[0] in recorded}
     followers = tuple(
         Follower(int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]), recorded.index(leader), polynomial)
@@ -130,16 +135,20 @@ def _delayed(model: mujoco.MjModel, actuator: Actuator) -> bool:
     return bool(model.actuator_delay[actuator.index])
 
 
-def _joint(model: mujoco.MjModel, j: int, speed: bool) -> Joint:
-    hinge = model.jnt_type[j] == HINGE
-    return Joint(model.joint(j).name, j, int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]), bool(hinge), speed)
+def _joint(model: mujoco.MjModel, j: int, speed: bool, floating: bool) -> Joint:
+    hinge, first = bool(model.jnt_type[j] == HINGE), (int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]))
+    return Joint(model.joint(j).name, j, *first, hinge, speed, floating)
 
 
 def _held_note(model: mujoco.MjModel, j: int, name: str) -> str:
     if model.jnt_type[j] in (HINGE, SLIDE):
         return f"the joint {name} has no column {name}_pos; it is held still and not diagnosed"
-    kind = "free" if model.jnt_type[j] == FREE else "ball"
-    return f"the {kind} joint {name} is held still and not diagnosed"
+    if model.jnt_type[j] != FREE:
+        return f"the ball joint {name} is held still and not diagnosed"
+    return (
+        f"the free joint {name} is held still and not diagnosed: there is no column of its position or angles, such as "
+        f"{parts(name)[0]}_pos, or its body is tilted in the model's own pose"
+    )
 
 
 def _couplings(model: mujoco.MjModel) -> dict[int, tuple[int, tuple[float, ...]]]:

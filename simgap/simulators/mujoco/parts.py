@@ -7,7 +7,10 @@ from simgap.types import Axis, Kind
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with one degree of freedom, whose position is recorded. qpos, dof: its indices in MuJoCo's vectors."""
+    """A joint with one degree of freedom, whose position is recorded. qpos, dof: its indices in MuJoCo's vectors.
+
+    floating: whether it is one of the six in place of a free joint.
+    """
 
     name: str
     index: int
@@ -15,6 +18,12 @@ class Joint:
     dof: int
     hinge: bool
     speed_recorded: bool
+    floating: bool = False
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of its position: an angle of a body that floats is recorded up to whole turns."""
+        return "angle" if self.floating and self.hinge else "position"
 
     @property
     def effort(self) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from simgap.simulators.mujoco import payloads
 from simgap.simulators.mujoco.attributes import Slot, unit
 from simgap.simulators.mujoco.engine import MujocoEngine
+from simgap.simulators.mujoco.floating import FREE
 from simgap.simulators.mujoco.reading import compiled
 from simgap.simulators.mujoco.split import second_joint
 from simgap.simulators.mujoco.steps import LONGER
@@ -58,7 +59,7 @@ def patch(
 
     delays, lags: of the commands of actuators, by actuator name [s].
     """
-    spec = engine.source.spec.copy()
+    spec = engine.source.file.copy()
     _spell_out(engine, spec)
     unwritten: list[str] = []
     changes = [
@@ -73,7 +74,7 @@ def patch(
 
 def _spell_out(engine: MujocoEngine, spec: mujoco.MjSpec) -> None:
     """Replace springs and dampers that MuJoCo computes from a time constant by numbers that can be changed."""
-    for joint in spec.joints:
+    for joint in (j for j in spec.joints if j.type != FREE):
         if np.any(np.asarray(joint.springdamper) > 0):
             built = engine.model.joint(joint.name)
             joint.springdamper = [0.0, 0.0]
@@ -108,6 +109,11 @@ def _switched(
             unwritten.append(f"payload of {value:.6g} kg at {switch.term.where}: the model sets its total mass")
         elif switch.term.effect == "payload":
             changes.append(_load(engine, spec, switch, value))
+        elif switch.term.where in engine.source.floating:
+            unwritten.append(
+                f"{switch.term.effect} at {switch.term.where}: MJCF has no such number for a single axis of "
+                "a free joint"
+            )
         else:
             changes += [_set(engine, spec, s, s.value(engine.model) + value) for s in switch.slots]
     return changes
@@ -148,6 +154,8 @@ def _deflect(engine: MujocoEngine, spec: mujoco.MjSpec, switch: Deflecting, valu
     with inertia, steps as short as the engine's, and keyframes with a place for it."""
     at, joint, longest = engine.machine.deflection, spec.joint(switch.term.where), float(engine.model.opt.timestep)
     assert at is not None  # where the engine has such a term
+    own = compiled(spec.copy()).joint(joint.name)
+    places = {"qpos": int(own.qposadr[0]) + 1, "qvel": int(own.dofadr[0]) + 1}
     added = second_joint(spec, joint.name)
     terms = np.array([0.0] * (len(engine.switches) - 1) + [value])
     size = _size(engine, spec, added, engine.compiled(engine.nominal, terms))
@@ -162,7 +170,7 @@ def _deflect(engine: MujocoEngine, spec: mujoco.MjSpec, switch: Deflecting, valu
         changes.append(Change("option", "timestep", _number(spec.option.timestep), _number(longest)))
         spec.option.timestep = longest
     for key in spec.keys:
-        for part, index in (("qpos", at.qpos), ("qvel", at.dof)):
+        for part, index in places.items():
             if len(values := getattr(key, part)):
                 setattr(key, part, np.insert(values, index, 0.0))
                 changes.append(Change(f"key {key.name}", part, f"{len(values)} values", f"0 for {added.name} too"))

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -39,10 +40,15 @@ NO_SERVOS = Servos()
 
 @dataclass(frozen=True)
 class Source:
-    """An uncompiled model in which every body, joint and actuator has a name. notes: what was left out, in words."""
+    """An uncompiled model in which every body, joint and actuator has a name. notes: what was left out, in words.
 
-    spec: mujoco.MjSpec
+    file: the model as it was read. spec: the same with the joints `floating` in place of free ones (see `floating`).
+    """
+
+    file: mujoco.MjSpec
     notes: tuple[str, ...]
+    spec: mujoco.MjSpec
+    floating: tuple[str, ...] = ()
 
 
 def read(model: str | Path | mujoco.MjSpec, servos: Servos) -> Source:
@@ -57,7 +63,7 @@ def read(model: str | Path | mujoco.MjSpec, servos: Servos) -> Source:
     notes = _drop_missing_files(spec)
     _add_servos(spec, servos)
     compiled(spec)
-    return Source(spec, tuple(notes))
+    return Source(spec, tuple(notes), spec)
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -82,16 +88,25 @@ def _one_line(error: Exception) -> str:
 
 
 def _name(spec: mujoco.MjSpec) -> None:
-    """Name unnamed elements, so that columns and changes can refer to them; an actuator is named after its joint."""
+    """Name unnamed elements, so that columns and changes can refer to them."""
     for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints), ("actuator", spec.actuators)):
         taken = {e.name for e in elements}
         for index, element in enumerate(elements):
             if not element.name:
-                wanted = element.target if kind == "actuator" and element.target not in taken else f"{kind}{index}"
+                wanted = _wanted(kind, element)
+                if not wanted or wanted in taken:
+                    wanted = f"{kind}{index}"
                 while wanted in taken:
                     wanted += "_"
                 element.name = wanted
                 taken.add(wanted)
+
+
+def _wanted(kind: str, element: Any) -> str:
+    """What an unnamed element is named after: an actuator after its joint, a free joint after its body."""
+    if kind == "actuator":
+        return element.target
+    return element.parent.name if kind == "joint" and element.type == mujoco.mjtJoint.mjJNT_FREE else ""
 
 
 def _drop_missing_files(spec: mujoco.MjSpec) -> list[str]:

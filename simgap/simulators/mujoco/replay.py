@@ -61,9 +61,18 @@ def replay(
     for recording in recordings:
         path = engine.path(phi, terms, start(engine, recording), recording.command)
         with np.errstate(invalid="ignore"):
-            squares += ((path[:, :joints] - recording.state[:, :joints]) ** 2).sum(0)
+            squares += (_missed(engine, path, recording) ** 2).sum(0)
         rows += len(path)
     return np.sqrt(np.nan_to_num(squares, nan=np.inf) / max(rows, 1))
+
+
+def _missed(engine: MujocoEngine, path: Float[np.ndarray, "T s"], recording: Recording) -> Float[np.ndarray, "T j"]:
+    """Errors of the joints' positions; angles up to whole turns."""
+    joints = engine.machine.joints
+    e = path[:, : len(joints)] - recording.state[:, : len(joints)]
+    turning = [j.kind == "angle" for j in joints]
+    e[:, turning] -= 2 * np.pi * np.round(e[:, turning] / (2 * np.pi))
+    return e
 
 
 def start(engine: MujocoEngine, recording: Recording) -> Float[np.ndarray, " s"]:

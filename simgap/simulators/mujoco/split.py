@@ -52,11 +52,14 @@ def deflecting(engine: MujocoEngine, joint: str) -> tuple[MujocoEngine, ...]:
     """The engine with play, and with a spring, behind a joint; each with the encoder at the link and at the motor.
 
     The last term is the gap or the compliance; all others, and the parameters, are those of the engine, in its order.
-    Empty if the joint cannot be split: another joint of its body comes after it, or the model does not compile.
+    Empty if the joint cannot be split: it is one of a free joint, another joint of its body comes after it, or the
+    model does not compile.
     """
     spec = engine.source.spec.copy()
     own = spec.joint(joint)
     if own is None or list(own.parent.joints)[-1].name != joint or spec.joint(f"{joint}{DEFLECTION}") is not None:
+        return ()
+    if joint in engine.source.floating:
         return ()
     bare = own.armature == 0
     own.armature = own.armature or TINY
@@ -66,7 +69,7 @@ def deflecting(engine: MujocoEngine, joint: str) -> tuple[MujocoEngine, ...]:
     columns = {f.name for f in (*engine.schema.outputs, *engine.schema.command)}
     try:
         plain = spec.copy().compile()
-        robot = machine(plain, columns)
+        robot = machine(plain, columns, engine.source.floating)
         model = ready(spec, payloads.places(plain, robot))
     except (ValueError, SimgapError):
         return ()

@@ -77,10 +77,14 @@ def cut(time_step: float, own: float) -> tuple[int, int]:
 
 
 def _probed(engine: MujocoEngine) -> Float[np.ndarray, "n s"]:
-    """Next states of random rows near the reference; the rows are the same for all step lengths."""
+    """Next states of random rows near the reference; the rows are the same for all step lengths.
+
+    A body that floats stays where the reference has it: elsewhere it might stand in the floor.
+    """
     rng = np.random.default_rng(0)
     joints = engine.machine.joints
     state = rng.normal(0.0, MOTION, (PROBES, len(engine.schema.state)))
+    state[:, : len(joints)] *= [not j.floating for j in joints]
     state[:, : len(joints)] += [engine.machine.reference[j.qpos] for j in joints]
     command = np.repeat(rng.normal(0.0, MOTION, (PROBES, 1, len(engine.schema.command))), engine.parts, axis=1)
     zeros = np.zeros((PROBES, len(engine.terms))), np.zeros((PROBES, len(joints)))

@@ -100,6 +100,8 @@ KINDS = (
           "a spring of {stiffness} pulls towards the reference position",
           lambda s: s.torque / s.speed),
 )  # fmt: skip
+ON_FLOATING = ("viscous_drag",)
+"""Effects of these that a body without a joint may have, along each axis: drag of what it moves through."""
 BOUND = 5.0
 """Largest size of a joint's term, as a multiple of the typical size."""
 
@@ -113,12 +115,13 @@ def switches(model: mujoco.MjModel, machine: Machine, time_step: float) -> tuple
     scales = {j.name: _scale(model, j, float(g)) for j, g in zip(machine.joints, gravity, strict=True)}
     terms: list[Switch] = []
     for kind in KINDS:
-        for joint in machine.joints:
+        for joint in (j for j in machine.joints if kind.effect in ON_FLOATING or not j.floating):
             slots = joint_slots(model, joint, kind.attribute)
             if not any(s.value(model) for s in slots):
                 terms.append(Added(_joint_term(machine, joint, kind, kind.typical(scales[joint.name])), slots[:1]))
     pulled = [j for j, g in zip(machine.joints, gravity, strict=True) if g > 1e-3 * scales[j.name].torque]
-    if pulled and not model.body_gravcomp.any():
+    floats = any(j.floating for j in machine.joints)
+    if pulled and not floats and not model.body_gravcomp.any():
         terms.append(Added(_gravity_term(machine, pulled), gravcomp_slots(model)))
     terms += _payloads(model, machine)
     terms += [limit for a in machine.actuators if (limit := _limit(model, machine, a.index, scales)) is not None]

@@ -14,10 +14,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 
 from simgap import resample
 from simgap.cli.importing import import_recordings
@@ -258,9 +261,10 @@ def test_streams_without_time_in_common_are_told_of() -> None:
         resample.align(SCHEMA, late, 10.0, 2.0)
 
 
-def test_a_quaternion_about_the_vertical_is_its_angle() -> None:
-    for angle in (-3.0, -0.4, 0.0, 1.2, 3.1):
-        assert resample.yaw(0, 0, math.sin(angle / 2), math.cos(angle / 2)) == pytest.approx(angle)
+@given(*(st.floats(-most, most) for most in (3.1, 1.5, 3.1)))
+def test_angles_of_a_quaternion_turn_as_it_does(yaw: float, pitch: float, roll: float) -> None:
+    quaternion = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat()
+    np.testing.assert_allclose(resample.angles(*quaternion), [yaw, pitch, roll], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,12 @@
 import ast
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from examples.arm import ArmConfig, arm_session, schema
 from simgap.simulators.mujoco import MujocoEngine, load
@@ -18,15 +21,18 @@ PAGE = (ROOT / "docs" / "how_to" / "mujoco.md").read_text()
 def test_the_code_of_the_page_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     states, commands = arm_session(np.random.default_rng(0), 100, ArmConfig())
-    names = {
+    names: dict[str, Any] = {
+        "table": pd.DataFrame({"time_s": [0.0, 0.1]}),
+        "quaternions": Rotation.from_euler("ZYX", [[0.3, 0.2, 0.1], [-3, 1, 2]]).as_quat(),
         "recordings": [Recording("one", np.arange(100) * 0.02, states, commands)],
         "recordings_columns": schema(speeds=True).columns,
     }
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    exec(compile(ast.parse(code), "docs/how_to/mujoco.md", "exec"), names)
+    for code in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(compile(ast.parse(code), "docs/how_to/mujoco.md", "exec"), names)
     engine, patched = names["engine"], names["patched"]
     assert isinstance(engine, MujocoEngine)
     assert engine.words(names["phi"])[0] == "kp pan: 60 -> 42 N m/rad"
+    np.testing.assert_allclose(names["table"].iloc[:, 1:], [[0.3, 0.2, 0.1], [-3, 1, 2]])
     assert [str(c) for c in patched.changes] == ["actuator pan: kp 60 -> 42", "actuator elbow: delay 0 -> 0.03"]
 
 

@@ -42,11 +42,14 @@ BOX = '<body name="box" pos="1 0 1"><freejoint name="loose"/><geom size=".1"/></
 BALL = '<body name="bob" pos="0 1 1"><joint name="round" type="ball"/><geom size=".1" pos=".3 0 0"/></body>'
 
 
-def test_free_and_ball_joints_are_held_and_named(tmp_path: Path) -> None:
-    engine = loaded(tmp_path, arm().replace("</worldbody>", BOX + BALL + "</worldbody>"))
-    assert engine.notes == (
-        "the free joint loose is held still and not diagnosed", "the ball joint round is held still and not diagnosed"
-    )  # fmt: skip
+def test_ball_joints_and_free_joints_without_a_column_are_held_and_named(tmp_path: Path) -> None:
+    recorded = {f"{joint}_{what}" for joint in ("pan", "lift", "reach") for what in ("pos", "vel")}
+    commands = {"cmd_pan", "cmd_lift", "cmd_push"}
+    engine = loaded(tmp_path, arm().replace("</worldbody>", BOX + BALL + "</worldbody>"), recorded | commands)
+    free, ball = engine.notes
+    assert free.startswith("the free joint loose is held still and not diagnosed: there is no column")
+    assert "loose_x_pos" in free
+    assert ball == "the ball joint round is held still and not diagnosed"
     plain = stepped_like(load(_written(tmp_path, arm()), STEP), engine)
     state, command = [0.3, 0.2, 0.01, 0.5, -1.0, 0.0], [0.1, -0.2, 0.3]
     np.testing.assert_allclose(after(engine, state, command), after(plain, state, command), atol=1e-9)
@@ -79,8 +82,10 @@ def test_a_joint_without_a_column_is_held_at_the_keyframe(tmp_path: Path) -> Non
 def test_recordings_of_no_joint(tmp_path: Path) -> None:
     with pytest.raises(SimgapError, match="need a column <joint>_pos for at least one of: pan, lift, reach"):
         loaded(tmp_path, arm(), {"time_s", "cmd_pan"})
-    with pytest.raises(SimgapError, match="the model has no hinge or slide joint"):
-        loaded(tmp_path, f"<mujoco><worldbody>{BOX}</worldbody></mujoco>")
+    with pytest.raises(SimgapError, match="at least one of: loose_x, loose_y, loose_z, loose_yaw"):
+        loaded(tmp_path, f"<mujoco><worldbody>{BOX}</worldbody></mujoco>", {"time_s"})
+    with pytest.raises(SimgapError, match="the model has no joint but ball joints"):
+        loaded(tmp_path, f"<mujoco><worldbody>{BALL}</worldbody></mujoco>")
 
 
 FINGERS = """
