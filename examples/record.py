@@ -3,6 +3,7 @@
     python -m examples.record drive FOLDER [--sessions 8] [--seconds 30] [--seed 0]
     python -m examples.record car FOLDER
     python -m examples.record arm FOLDER [--missing friction] [--positions-only]   (see `examples.arm`)
+    python -m examples.record drone FOLDER [--missing payload] [--positions-only]   (see `examples.drone`)
 
 The drive has Coulomb friction, with stiction: at rest it stays until the force exceeds the friction. The car's steering
 acts 0.15 s after it is commanded. These machines stand in for reality: they share no code with the simulators, only the
@@ -130,6 +131,8 @@ MACHINES: dict[str, tuple[StepModel, Callable[[np.random.Generator, int, float],
     "car": (CAR, lambda rng, rows, time_step: car_session(rng, rows, time_step, CarConfig())),
 }
 """For each machine the simulator, whose columns and time step the recordings have, and what makes a session."""
+SECONDS = {"arm": 8.0, "drone": 8.0}
+"""Machines with a model file, and the length of their sessions [s]."""
 
 
 def record(machine: str, folder: Path, sessions: int, seconds: float, seed: int) -> list[Path]:
@@ -160,28 +163,44 @@ def _number(kind: type[int | float], low: float, high: float) -> Callable[[str],
     return read
 
 
+def record_model(machine: str, folder: Path, sizes: tuple[int, float, int], missing: str, speeds: bool) -> list[Path]:
+    """The same of a machine with a model file, which needs MuJoCo; sizes: sessions, seconds, seed.
+
+    Raises ValueError where its model cannot lack `missing`; empty: what it lacks by default.
+    """
+    from examples import arm, drone
+
+    known = {"arm": arm.MISSING, "drone": drone.MISSING}[machine]
+    if missing and missing not in known:
+        raise ValueError(f"--missing {missing}: expected one of {', '.join(known)}")
+    if machine == "arm":
+        return arm.record_arm(folder, *sizes, arm.ArmConfig(missing or "friction", speeds))
+    return drone.record_drone(folder, *sizes, drone.DroneConfig(missing or "payload", speeds))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         "python -m examples.record", description="Record a machine whose physics its simulator leaves out."
     )
-    parser.add_argument("machine", choices=[*MACHINES, "arm"])
+    parser.add_argument("machine", choices=[*MACHINES, *SECONDS])
     parser.add_argument("folder", type=Path, help="folder to write the recording set to")
     parser.add_argument("--sessions", type=_number(int, 1, 1000), default=8)
     parser.add_argument(
-        "--seconds", type=_number(float, 0.1, 3600), help="length of a session [s]; 8 for the arm, 30 for the others"
+        "--seconds",
+        type=_number(float, 0.1, 3600),
+        help="length of a session [s]; 8 for the arm and the drone, 30 for the others",
     )
     parser.add_argument("--seed", type=_number(int, 0, seeds.LARGEST), default=0)
-    parser.add_argument("--missing", default="friction", help="what the arm's model leaves out (arm only)")
-    parser.add_argument("--positions-only", action="store_true", help="record no velocities (arm only)")
+    parser.add_argument("--missing", default="", help="what the model leaves out (arm and drone only)")
+    parser.add_argument("--positions-only", action="store_true", help="record no velocities (arm and drone only)")
     given = parser.parse_args()
-    seconds = given.seconds or (8.0 if given.machine == "arm" else 30.0)
-    if given.machine == "arm":
-        from examples.arm import MISSING, ArmConfig, record_arm  # needs MuJoCo, which the others do not
-
-        if given.missing not in MISSING:
-            parser.error(f"--missing {given.missing}: expected one of {', '.join(MISSING)}")
-        config = ArmConfig(given.missing, not given.positions_only)
-        paths = record_arm(given.folder, given.sessions, seconds, given.seed, config)
+    seconds = given.seconds or SECONDS.get(given.machine, 30.0)
+    if given.machine in SECONDS:
+        sizes = given.sessions, seconds, given.seed
+        try:
+            paths = record_model(given.machine, given.folder, sizes, given.missing, not given.positions_only)
+        except ValueError as error:
+            parser.error(str(error))
     else:
         paths = record(given.machine, given.folder, given.sessions, seconds, given.seed)
     print(f"{given.folder}: {len(paths)} x {seconds:g} s of the {given.machine}")
