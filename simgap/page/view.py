@@ -5,6 +5,7 @@ from typing import Any
 
 from simgap.page import effects, marks, numbers, scores, tried, where, wording
 from simgap.page.figures import Figures
+from simgap.page.to_do import to_do
 
 Values = Mapping[str, Any]
 
@@ -41,7 +42,7 @@ def _summary(statement: Values) -> dict[str, Any]:
         "certainty": wording.certainty(statement),
         "helps": wording.helps(statement),
         "errors": _errors(statement),
-        "to_do": wording.to_do(statement),
+        "to_do": to_do(statement),
         "statement": statement.get("statement", ""),
         "facts": _facts(statement.get("recordings") or {}),
     }

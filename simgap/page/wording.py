@@ -55,7 +55,7 @@ def by_importance(effects: Sequence[Values]) -> list[Values]:
 def headline(statement: Values) -> str:
     """What is missing, in at most `HEADLINE_WORDS` words."""
     verdict, effects = str(statement["verdict"]), by_importance(statement.get("effects") or [])
-    if ties := _ties(statement):
+    if ties := ties_of(statement):
         return _shortened(f"One of these is probably missing: {either(ties[0])}. These recordings cannot tell which.")
     if verdict != "missing_physics" or not effects:
         return _shortened(_HEADLINES.get(verdict, VERDICTS.get(verdict, verdict)))
@@ -68,13 +68,14 @@ def headline(statement: Values) -> str:
     return next(text for text in shorter_and_shorter if len(text.split()) <= HEADLINE_WORDS)
 
 
-def _ties(statement: Values) -> list[Values]:
+def ties_of(statement: Values) -> list[Values]:
+    """Effects of which one is probably missing, most important first."""
     return by_importance(tied(statement))
 
 
 def no_effects(statement: Values) -> str:
     """Why no effect is named."""
-    if ties := _ties(statement):
+    if ties := ties_of(statement):
         return f"One of several effects is missing, and these recordings cannot tell which: {either(ties[0])}."
     return NO_EFFECTS.get(str(statement["verdict"]), "No effect was found.")
 
@@ -85,10 +86,10 @@ def _shortened(text: str) -> str:
 
 def _missing(certain: Sequence[str], likely: Sequence[str]) -> str:
     if not likely:
-        return f"Missing in the simulator: {_listed(certain)}."
+        return f"Missing in the simulator: {list_of(certain)}."
     if not certain:
-        return f"Probably missing in the simulator: {_listed(likely)}."
-    return f"Missing in the simulator: {_listed(certain)}. Probably missing too: {_listed(likely)}."
+        return f"Probably missing in the simulator: {list_of(likely)}."
+    return f"Missing in the simulator: {list_of(certain)}. Probably missing too: {list_of(likely)}."
 
 
 def _first(names: Sequence[str], count: int) -> list[str]:
@@ -98,7 +99,8 @@ def _first(names: Sequence[str], count: int) -> list[str]:
     return [*shown, f"{left} more" if shown else f"{left} effect{'s' if left > 1 else ''}"] if left else shown
 
 
-def _listed(names: Sequence[str]) -> str:
+def list_of(names: Sequence[str]) -> str:
+    """Names as a list of a sentence, apart where one of them is a choice."""
     if any(" or " in n for n in names):
         return "; ".join(names)
     return listed(names)
@@ -118,7 +120,7 @@ def certainty(statement: Values) -> list[str]:
     lines += [
         f"With a probability of {percent(1 - e['outside'])} it is {either(e)}; none by itself has more than "
         f"{percent(e['probability'])}."
-        for e in _ties(statement)
+        for e in ties_of(statement)
     ]
     doubtful = [e for e in by_importance(effects) if elsewhere(e)]
     lines += [f"{either(e)}: with a probability of {elsewhere(e)} the cause is another one." for e in doubtful]
@@ -188,43 +190,6 @@ def _answer(change: Values | None, errors: str) -> str:
 def share(error: Any) -> str:
     """An error as a share of the motion, to a tenth of a percent."""
     return f"{fixed(100 * error, 1)} %" if known(error) else DASH
-
-
-def to_do(statement: Values) -> list[str]:
-    """What the reader should do, most important first."""
-    verdict = statement["verdict"]
-    _, likely = by_certainty(by_importance(statement.get("effects") or []))
-    lines = {
-        "missing_physics": [
-            _to_check(likely),
-            "Do not forecast with these effects: they raise the held-out error."
-            if rises((statement.get("fit") or {}).get("change"))
-            else "Add these effects to the simulator (constants in section 2), or load the corrected one with "
-            "simgap.load().",
-        ],
-        "parameters_only": ["Use the refitted parameters of section 5."],
-        "nothing": ["Nothing has to change."],
-        "unexplained": [_to_check(_ties(statement)) or _look(statement.get("located") or {})],
-        "inconclusive": [f"{r['remedy']}." for r in statement.get("insufficient") or []],
-    }.get(verdict, [])
-    if verdict == "unexplained" and statement.get("closest_matches"):
-        lines.append("Compare it with the closest matches of section 2.")
-    if statement.get("experiment"):
-        lines.append(statement["experiment"].get("statement", ""))
-    return [line for line in lines if line]
-
-
-def _to_check(likely: Sequence[Values]) -> str:
-    names = list(dict.fromkeys(map(either, likely)))
-    are = "is" if len(names) == 1 else "are"
-    return f"Check on the machine: {_listed(names)} {are} likely, not certain." if names else ""
-
-
-def _look(located: Values) -> str:
-    outputs, regimes = (located.get(key) or [] for key in ("outputs", "regimes"))
-    where = f" in {max(outputs, key=lambda o: o['excess'])['name']}" if outputs else ""
-    where += f", where {max(regimes, key=lambda r: r['share'])['regime']}" if regimes else ""
-    return f"Look for the cause{where or ' where the mismatch shows'} (section 1)."
 
 
 def no_experiment(statement: Values) -> str:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from simgap.page import marks, wording
 from simgap.page.figures import Figures
 from simgap.page.render import page
+from simgap.page.to_do import to_do
 from simgap.page.tried import tried
 
 PAGE = Path(__file__).parents[3] / "simgap" / "page"
@@ -162,7 +163,7 @@ def test_a_name_that_is_not_certain_is_said_to_be_probable(
                for i, p, g in zip(("delay", "slope"), outside, (9.0, 5.0), strict=True)]  # fmt: skip
     statement = {"verdict": "missing_physics", "effects": effects}
     assert wording.headline(statement) == headline
-    checks = [line for line in wording.to_do(statement) if line.startswith("Check on the machine: ")]
+    checks = [line for line in to_do(statement) if line.startswith("Check on the machine: ")]
     assert len(checks) == len(to_check)
     assert all(words in line for words, line in zip(to_check, checks, strict=True))
 
@@ -207,6 +208,17 @@ def test_the_first_screen_says_whether_the_effects_help(after: float, ends: list
     assert words in first_screen
     assert ("Do not forecast with these effects" in first_screen) == words.startswith("No:")
     assert ("Add these effects to the simulator" in first_screen) != words.startswith("No:")
+
+
+@pytest.mark.parametrize("verdict", ["missing_physics", "parameters_only"])
+def test_of_a_model_file_the_patched_model_is_what_to_use(verdict: str) -> None:
+    patched = {"file": "arm.patched.xml", "changes": [{}], "unwritten": []}
+    (line,) = to_do({"verdict": verdict, "patched": patched})
+    assert line == "Use arm.patched.xml in place of the model; section 5 lists its changes."
+    (line,) = to_do({"verdict": verdict, "patched": {**patched, "unwritten": ["play of a command"]}})
+    assert line.endswith("simgap.load() has that too.")
+    (line,) = to_do({"verdict": verdict, "patched": {**patched, "changes": []}})
+    assert "arm.patched.xml" not in line
 
 
 @pytest.mark.parametrize("verdict", wording.VERDICTS)
