@@ -155,6 +155,11 @@ def _reciprocals(usual: Callable[[Scales], np.ndarray], *fractions: float):
     return lambda scales, site: [[1 / (f * float(usual(scales)[site]))] for f in fractions]
 
 
+def _of_both_signs(value: float):
+    """A start where commands have both signs: elsewhere a law that tells them apart is a gain."""
+    return lambda scales, site: [[value]] if scales.both_ways[site] else []
+
+
 def _fixed(*values: float):
     return lambda scales, site: [[v] for v in values]
 
@@ -187,12 +192,12 @@ EFFECTS = (
         _fixed(-0.15), _gain, "commands are followed by a factor of {gain}", tie="any", slight=True,
     ),
     Effect(
-        "asymmetric_gain", "command", _RATIO, channel_sites, _fixed(0.15), _asymmetric_gain(-1),
+        "asymmetric_gain", "command", _RATIO, channel_sites, _of_both_signs(0.15), _asymmetric_gain(-1),
         "negative commands are followed by only {ratio} of what positive ones are", tie="any", form="negative",
         slight=True,
     ),
     Effect(
-        "asymmetric_gain", "command", _RATIO, channel_sites, _fixed(0.15), _asymmetric_gain(1),
+        "asymmetric_gain", "command", _RATIO, channel_sites, _of_both_signs(0.15), _asymmetric_gain(1),
         "positive commands are followed by only {ratio} of what negative ones are", tie="any", form="positive",
         slight=True,
     ),

@@ -78,8 +78,9 @@ class Scales(NamedTuple):
     position integrates its velocity. output: 95th percentile of |output - median|. duration: of the longest session
     [s]. time_step [s]. travel, pace, hold [n]: 95th percentile of |position|, axis_speed and axis_command of the bodies
     that keep their place (`restoring.staying`); grain [n]: noise of their positions, or their step. furthest [n]:
-    greatest size of the states that may stop (`stops.limited`). measured: number of the measured ones of these. Only
-    speed, reach, height, interval, grain and measured can be zero.
+    greatest size of the states that may stop (`stops.limited`). measured: number of the measured ones of these.
+    both_ways: whether commands of a channel have both signs, per channel. Only speed, reach, height, interval, grain,
+    measured and both_ways can be zero.
     """
 
     command: np.ndarray
@@ -99,6 +100,7 @@ class Scales(NamedTuple):
     grain: np.ndarray = np.zeros(0)
     furthest: np.ndarray = np.zeros(0)
     measured: float = 0.0
+    both_ways: np.ndarray = np.zeros(0)
 
 
 class Site(NamedTuple):
@@ -146,17 +148,17 @@ class Effect:
     """A law of the catalogue.
 
     id: name of the effect. form: which of several laws of one id. sites(layout): where it can act. starts(scales,
-    site): internal constants [k] to start a search from. law: see the module of its place. says: a sentence for people,
-    with the names of the constants in braces. tie: whether the sites of a family may share constants ("never";
-    "same_unit": sites of one unit; "any"). rest(u): a filter's memory once the command u has lasted. lasts: a filter's
-    memory outlasts any rest; it depends on where commands turned, not on how long ago. jagged: the likelihood has many
-    local maxima along the constant. basins: it has a few; the simulator's parameters lead to one with too small a
-    constant, so fits start from all of `starts`. event: it acts in a window of one session. slope(c, state): of what a
-    sensor shows, by the state, where it is not one. folds: two states give one measurement, so that a start does not
-    follow from what is measured there. slight: it takes less to compute than XLA takes to decide whether to; it is
-    computed even where it does not act. coarse: it concerns steps as long as a row, which an engine divides into many.
-    extends: id of a simpler law that it is as well, or nearly, with some of its constants. bends: see `Bend`; by
-    default those of its place.
+    site): internal constants [k] to start a search from; none where such recordings cannot show it. law: see the module
+    of its place. says: a sentence for people, with the names of the constants in braces. tie: whether the sites of a
+    family may share constants ("never"; "same_unit": sites of one unit; "any"). rest(u): a filter's memory once the
+    command u has lasted. lasts: a filter's memory outlasts any rest; it depends on where commands turned, not on how
+    long ago. jagged: the likelihood has many local maxima along the constant. basins: it has a few; the simulator's
+    parameters lead to one with too small a constant, so fits start from all of `starts`. event: it acts in a window of
+    one session. slope(c, state): of what a sensor shows, by the state, where it is not one. folds: two states give one
+    measurement, so that a start does not follow from what is measured there. slight: it takes less to compute than XLA
+    takes to decide whether to; it is computed even where it does not act. coarse: it concerns steps as long as a row,
+    which an engine divides into many. extends: id of a simpler law that it is as well, or nearly, with some of its
+    constants. bends: see `Bend`; by default those of its place.
     """
 
     id: str

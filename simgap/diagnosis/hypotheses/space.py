@@ -41,6 +41,7 @@ def hypotheses_of(augmented: Augmented, scales: Scales, events: bool = False) ->
         for e, (effect, sites) in enumerate(zip(augmented.catalogue, augmented.sites, strict=True))
         if effect.event == events
         for where, members in _site_groups(effect, sites)
+        if all(effect.starts(scales, s) for s in members)
     ]
 
 

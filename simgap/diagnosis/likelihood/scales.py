@@ -58,6 +58,7 @@ def measure(augmented: Augmented, recordings: Sequence[Recording]) -> Scales:
         grain=_grains(recordings, [int(layout.position[place]) for place in held]),
         furthest=np.abs(states[:, limited(layout)]).max(0),
         measured=float(len(stopping(layout))),
+        both_ways=((commands > 0).any(0) & (commands < 0).any(0)).astype(float),
     )
 
 

@@ -26,7 +26,7 @@ SCALES = Scales(
     command=np.array([1.0, 0.7, 1.0, 0.6, 0.6, 0.6]), command_step=np.full(6, 0.15), speed=np.full((2, 4), 0.8),
     axis_speed=np.full(6, 0.8), axis_command=np.full(6, 0.8), reach=np.linspace(0.5, 1.2, 21)[None],
     height=np.linspace(0.2, 0.95, 21)[None], interval=np.full(12, 1 / 15), output=np.ones(12),
-    duration=40.0, time_step=1 / 15,
+    duration=40.0, time_step=1 / 15, both_ways=np.ones(6),
 )  # fmt: skip
 
 

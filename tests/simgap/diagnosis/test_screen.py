@@ -49,6 +49,18 @@ def test_limits_are_looked_for_out_to_where_few_rows_reach(seed: int) -> None:
             assert np.abs(np.log(starts / limit)).min() < np.log(2), (name, limit)
 
 
+def test_of_commands_of_one_sign_no_law_tells_signs_apart() -> None:
+    """A thrust that is never negative has a gain, and no asymmetric one. Zero has no sign."""
+    training, _ = sessions({}, RICH)
+    forward = [r._replace(command=np.abs(r.command) * [1, -1, 1, 1, 1, 1]) for r in training]
+    forward[0].command[0, 2] = -0.1  # this one has both signs
+    names = [c.name for c in hypotheses_of(SPOT, measure(SPOT, forward))]
+    assert {n for n in names if n.startswith("asymmetric_gain")} == {
+        f"asymmetric_gain.{side} on cmd_base_wz" for side in ("negative", "positive")
+    }
+    assert "gain on cmd_base_vx" in names
+
+
 def test_a_law_that_is_no_multiple_of_its_constant_is_looked_at_between_its_starts() -> None:
     values = [d.values[0] for d in closer(screened("delay on base", 1.0, 0.5, 2.0), KNOWN)]
     assert all(0.5 < v < 2.0 for v in values)
