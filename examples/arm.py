@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from simgap.formats.recordings import write_recording
-from simgap.types import Field, Recording, Schema
+from examples.sessions import ModelConfig, Session, write
+from simgap.types import Field, Schema
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's names are native, and unknown to type checkers.
@@ -30,18 +30,11 @@ SETTLING = 2.0
 
 
 @dataclass(frozen=True)
-class ArmConfig:
-    """How the arm is recorded.
-
-    missing: what the model leaves out, of `MISSING`. speeds: whether recordings have velocities. time_step [s] between
-    rows. position_noise [rad], velocity_noise [rad/s].
-    """
+class ArmConfig(ModelConfig):
+    """How the arm is recorded."""
 
     missing: str = "friction"
-    speeds: bool = True
-    time_step: float = 0.02
     position_noise: float = 0.00035
-    velocity_noise: float = 0.005
 
 
 @dataclass
@@ -123,9 +116,7 @@ def wishes(rng: np.random.Generator, rows: int, time_step: float) -> Float[np.nd
     return waves + steps
 
 
-def arm_session(
-    rng: np.random.Generator, rows: int, config: ArmConfig
-) -> tuple[Float[np.ndarray, "T s"], Float[np.ndarray, "T 3"]]:
+def arm_session(rng: np.random.Generator, rows: int, config: ArmConfig) -> Session:
     """States as measured and commands as sent, of the real arm."""
     arm = RealArm(mujoco.MjSpec.from_file(str(MODEL)))
     MISSING[config.missing](arm)
@@ -152,9 +143,7 @@ def arm_session(
 
 def record_arm(folder: Path, sessions: int, seconds: float, seed: int, config: ArmConfig) -> list[Path]:
     """Write a recording set of the arm, each session `seconds` [s] long; returns the files."""
-    rows, paths = round(seconds / config.time_step), []
-    for i, rng in enumerate(np.random.default_rng(seed).spawn(sessions)):
-        states, commands = arm_session(rng, rows, config)
-        recording = Recording(f"arm_{i + 1:02d}", np.arange(rows) * config.time_step, states, commands)
-        paths.append(write_recording(folder, recording, schema(config.speeds)))
-    return paths
+    return write(
+        folder, "arm", (sessions, seconds, seed), schema(config.speeds), config.time_step,
+        lambda rng, rows: arm_session(rng, rows, config),
+    )  # fmt: skip

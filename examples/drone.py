@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from simgap.formats.recordings import write_recording
-from simgap.types import Field, Recording, Schema
+from examples.sessions import ModelConfig, Session, write
+from simgap.types import Field, Schema
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's names are native, and unknown to type checkers.
@@ -38,18 +38,10 @@ MIXING = np.linalg.inv(
 
 
 @dataclass(frozen=True)
-class DroneConfig:
-    """How the drone is recorded.
-
-    missing: what the model leaves out, of `MISSING`. speeds: whether recordings have velocities. time_step [s] between
-    rows. position_noise [m, rad], velocity_noise [m/s, rad/s].
-    """
+class DroneConfig(ModelConfig):
+    """How the drone is recorded."""
 
     missing: str = "payload"
-    speeds: bool = True
-    time_step: float = 0.02
-    position_noise: float = 0.001
-    velocity_noise: float = 0.005
 
 
 @dataclass
@@ -114,9 +106,7 @@ def thrusts(
     return np.clip(MIXING @ [total, *(INERTIA * (turn + shaking))], 0, 8)
 
 
-def drone_session(
-    rng: np.random.Generator, rows: int, config: DroneConfig
-) -> tuple[Float[np.ndarray, "T s"], Float[np.ndarray, "T 4"]]:
+def drone_session(rng: np.random.Generator, rows: int, config: DroneConfig) -> Session:
     """States as measured and commands as sent, of the real drone."""
     drone = RealDrone(mujoco.MjSpec.from_file(str(MODEL)))
     MISSING[config.missing](drone)
@@ -144,9 +134,7 @@ def drone_session(
 
 def record_drone(folder: Path, sessions: int, seconds: float, seed: int, config: DroneConfig) -> list[Path]:
     """Write a recording set of the drone, each session `seconds` [s] long; returns the files."""
-    rows, paths = round(seconds / config.time_step), []
-    for i, rng in enumerate(np.random.default_rng(seed).spawn(sessions)):
-        states, commands = drone_session(rng, rows, config)
-        recording = Recording(f"drone_{i + 1:02d}", np.arange(rows) * config.time_step, states, commands)
-        paths.append(write_recording(folder, recording, schema(config.speeds)))
-    return paths
+    return write(
+        folder, "drone", (sessions, seconds, seed), schema(config.speeds), config.time_step,
+        lambda rng, rows: drone_session(rng, rows, config),
+    )  # fmt: skip

@@ -22,15 +22,12 @@ from jaxtyping import Float
 
 from examples.car import CAR
 from examples.drive import DRIVE
-from simgap.formats.recordings import write_recording
+from examples.sessions import Session, write
 from simgap.loading import seeds
-from simgap.types import Recording, StepModel
+from simgap.types import StepModel
 
 FINE = 0.001
 """Time step of the integration [s]."""
-
-Session = tuple[Float[np.ndarray, "T s"], Float[np.ndarray, "T u"]]
-"""States as measured, and commands as sent."""
 
 
 @dataclass(frozen=True)
@@ -138,13 +135,9 @@ SECONDS = {"arm": 8.0, "drone": 8.0}
 def record(machine: str, folder: Path, sessions: int, seconds: float, seed: int) -> list[Path]:
     """Write a recording set of a machine, each session `seconds` [s] long; returns the files."""
     simulator, session = MACHINES[machine]
-    rows = round(seconds / simulator.time_step)
-    paths = []
-    for i, rng in enumerate(np.random.default_rng(seed).spawn(sessions)):
-        states, commands = session(rng, rows, simulator.time_step)
-        recording = Recording(f"{machine}_{i + 1:02d}", np.arange(rows) * simulator.time_step, states, commands)
-        paths.append(write_recording(folder, recording, simulator.schema))
-    return paths
+    step = simulator.time_step
+    sizes = sessions, seconds, seed
+    return write(folder, machine, sizes, simulator.schema, step, lambda rng, rows: session(rng, rows, step))
 
 
 def _number(kind: type[int | float], low: float, high: float) -> Callable[[str], Any]:
@@ -170,12 +163,13 @@ def record_model(machine: str, folder: Path, sizes: tuple[int, float, int], miss
     """
     from examples import arm, drone
 
-    known = {"arm": arm.MISSING, "drone": drone.MISSING}[machine]
+    known, config, record_it = {
+        "arm": (arm.MISSING, arm.ArmConfig, arm.record_arm),
+        "drone": (drone.MISSING, drone.DroneConfig, drone.record_drone),
+    }[machine]
     if missing and missing not in known:
         raise ValueError(f"--missing {missing}: expected one of {', '.join(known)}")
-    if machine == "arm":
-        return arm.record_arm(folder, *sizes, arm.ArmConfig(missing or "friction", speeds))
-    return drone.record_drone(folder, *sizes, drone.DroneConfig(missing or "payload", speeds))
+    return record_it(folder, *sizes, config(missing or config.missing, speeds))
 
 
 def main() -> None:

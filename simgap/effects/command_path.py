@@ -156,7 +156,7 @@ def _reciprocals(usual: Callable[[Scales], np.ndarray], *fractions: float):
 
 
 def _of_both_signs(value: float):
-    """A start where commands have both signs: elsewhere a law that tells them apart is a gain."""
+    """A start only where commands have both signs. Where they have one, a law that depends on the sign is a gain."""
     return lambda scales, site: [[value]] if scales.both_ways[site] else []
 
 

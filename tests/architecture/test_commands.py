@@ -57,7 +57,8 @@ COVERED = {
     r"python -m examples\.knockouts .*": ("examples/test_examples.py::test_the_command_line_w", '"examples.knock'),
     r"(python -m examples\.record arm|simgap diagnose) sweeps/arm( --simulator .*)?": (
         "simgap/cli/test_diagnose_model.py::test_the_commands_write", "run(folder, "),
-    r"python -m examples\.record (arm|drone) .*": ("examples/test_arm.py::test_the_command", "examples.record"),
+    r"python -m examples\.record (arm|drone) .*": (
+        "examples/test_recorded_models.py::test_the_command", "examples.record"),
     r"simgap diagnose .*": ("simgap/cli/test_diagnose_command.py::test_the_statement", '"diagnose", "rail"'),
     r"simgap (import|check) .*": (
         "simgap/formats/test_importing.py::test_the_commands_are_there", '["import", "walk.mcap"'),

@@ -1,14 +1,11 @@
 """The arm: recordings that are read back, and that differ from the model by what they are said to miss."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from examples.arm import JOINTS, MISSING, MODEL, ArmConfig, arm_session, record_arm, schema
-from simgap.formats.recordings import read_recordings
+from examples.arm import JOINTS, MISSING, MODEL, ArmConfig, arm_session
 from simgap.simulators.mujoco import MujocoEngine, load
 
 ROOT = Path(__file__).parents[2]
@@ -57,20 +54,3 @@ def test_a_wrong_parameter_is_a_parameter(engine: MujocoEngine, missing: str, sh
     phi = engine.nominal.copy()
     phi[[p.name for p in engine.parameters].index(f"{missing} shoulder")] = np.log(share)
     assert (open_loop_error(engine, missing, phi) < 4 * ArmConfig.position_noise).all()
-
-
-@pytest.mark.parametrize("speeds", [True, False])
-def test_recordings_are_read_back(tmp_path: Path, speeds: bool) -> None:
-    record_arm(tmp_path, 2, 1.0, 0, ArmConfig(speeds=speeds))
-    recordings, errors = read_recordings(tmp_path, schema(speeds), ArmConfig.time_step)
-    assert errors == []
-    assert [r.state.shape for r in recordings] == [(50, 6 if speeds else 3)] * 2
-    assert schema(True).columns == load(MODEL, ArmConfig.time_step).schema.columns
-
-
-def test_the_command(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "examples.record", "arm", str(tmp_path), "--sessions", "1", "--seconds", "1"]
-    done = subprocess.run([*command, "--missing", "payload"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "1 x 1 s of the arm" in done.stdout
-    wrong = subprocess.run([*command, "--missing", "sand"], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert "expected one of nothing, friction" in wrong.stderr

@@ -1,15 +1,12 @@
 """The drone: recordings that are read back, and that differ from the model by what they are said to miss."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from examples.drone import MISSING, MODEL, MOTORS, DroneConfig, drone_session, record_drone, schema
+from examples.drone import MISSING, MODEL, MOTORS, DroneConfig, drone_session
 from simgap.engines import no_effort
-from simgap.formats.recordings import read_recordings
 from simgap.simulators.mujoco import MujocoEngine, load
 
 ROOT = Path(__file__).parents[2]
@@ -55,20 +52,3 @@ def test_what_is_missing_explains_the_recordings_and_nothing_else_does(engine: M
     assert missed(engine, missing, **CURES[missing]) < 1e-5
     if missing != "nothing":
         assert missed(engine, missing) > 1e-3
-
-
-@pytest.mark.parametrize("speeds", [True, False])
-def test_recordings_are_read_back(tmp_path: Path, speeds: bool) -> None:
-    record_drone(tmp_path, 2, 1.0, 0, DroneConfig(speeds=speeds))
-    recordings, errors = read_recordings(tmp_path, schema(speeds), DroneConfig.time_step)
-    assert errors == []
-    assert [r.state.shape for r in recordings] == [(50, 12 if speeds else 6)] * 2
-    assert schema(True).columns == load(MODEL, DroneConfig.time_step).schema.columns
-
-
-def test_the_command(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "examples.record", "drone", str(tmp_path), "--sessions", "1", "--seconds", "1"]
-    done = subprocess.run([*command, "--missing", "wind"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "1 x 1 s of the drone" in done.stdout
-    wrong = subprocess.run([*command, "--missing", "sand"], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert "expected one of nothing, payload" in wrong.stderr

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from simgap.simulators.mujoco.floating import parts
+from simgap.simulators.mujoco.floating import FREE, parts
 from simgap.simulators.mujoco.parts import Actuator, Deflection, Follower, Joint
 from simgap.types import Field, Kind, Schema, SimgapError
 
 # A model's arrays hold integers, for which `x in (enum, ...)` is false.
-HINGE, SLIDE, FREE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("HINGE", "SLIDE", "FREE"))
+HINGE, SLIDE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("HINGE", "SLIDE"))
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)

@@ -57,9 +57,9 @@ def deflecting(engine: MujocoEngine, joint: str) -> tuple[MujocoEngine, ...]:
     """
     spec = engine.source.spec.copy()
     own = spec.joint(joint)
-    if own is None or list(own.parent.joints)[-1].name != joint or spec.joint(f"{joint}{DEFLECTION}") is not None:
+    if own is None or joint in engine.source.floating or spec.joint(f"{joint}{DEFLECTION}") is not None:
         return ()
-    if joint in engine.source.floating:
+    if list(own.parent.joints)[-1].name != joint:
         return ()
     bare = own.armature == 0
     own.armature = own.armature or TINY
