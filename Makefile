@@ -26,8 +26,9 @@ run: setup  ## the main job in a small size; SOURCE=spot RECORDINGS=folder for r
 		$(if $(RECORDINGS),--recordings $(RECORDINGS))
 	$(BIN)/python -m flows.sealed.prove development --overrides pipelines/sealed/small.yaml --workspace sweeps/small
 
-test: setup lint  ## checks and tests
-	$(BIN)/python -m pytest
+test: setup lint  ## checks and tests; long tests only where what they depend on has changed since they last passed
+	$(BIN)/python -m pytest -m "not long"
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/dvc repro pipelines/long_tests/dvc.yaml
 
 lint: setup
 	$(BIN)/ruff check .

@@ -31,9 +31,9 @@ COVERED = {
     r"dvc repro pipelines/sealed/dvc\.yaml": (
         "flows/test_dvc.py::test_the_proofs_pipeline", '"list", "pipelines/sealed/dvc.yaml"'),
     r"dvc repro pipelines/external/dvc\.yaml": (
-        "flows/test_dvc.py::test_pipelines_of_a_single_stage", '"list", "pipelines/external/dvc.yaml"'),
+        "flows/test_dvc.py::test_pipelines_beside_them", '"list", "pipelines/external/dvc.yaml"'),
     r"dvc repro pipelines/ground/dvc\.yaml": (
-        "flows/test_dvc.py::test_pipelines_of_a_single_stage", '"list", "pipelines/ground/dvc.yaml"'),
+        "flows/test_dvc.py::test_pipelines_beside_them", '"list", "pipelines/ground/dvc.yaml"'),
     r"dvc (metrics|plots) show": ("flows/test_dvc.py::test_the_metrics_of_the_repository", '"metrics", "show"'),
     r"dvc metrics diff": (REPRO, '"dvc", "metrics", "diff"'),
     r"dvc exp (run|show).*": ("flows/test_dvc.py::test_an_experiment", '"dvc", "exp", "run"'),

@@ -196,6 +196,25 @@ def test_no_learner_knows_the_robot_that_its_policy_is_run_on() -> None:
     assert not [path for path in files if "robots" in path.parts]
 
 
+@pytest.mark.parametrize("stage", ["simgap", "pipeline"])
+def test_long_tests_are_run_again_when_what_they_import_changes(stage: str) -> None:
+    given = yaml.safe_load((ROOT / "pipelines" / "long_tests" / "dvc.yaml").read_text())["stages"][stage]
+    folders = [word for word in given["cmd"].split() if word.startswith("tests/")]
+    long = [path for f in folders for path in (ROOT / f).rglob("test_*.py") if "pytest.mark.long" in path.read_text()]
+    assert long
+    files, _ = reached([str(path.relative_to(ROOT)) for path in long])
+    for path in sorted(str(path.relative_to(ROOT)) for path in files):
+        assert any(path == d or path.startswith(f"{d}/") for d in given["deps"]), path
+
+
+def test_every_long_test_is_of_one_of_the_stages() -> None:
+    stages = yaml.safe_load((ROOT / "pipelines" / "long_tests" / "dvc.yaml").read_text())["stages"]
+    folders = [word for stage in stages.values() for word in stage["cmd"].split() if word.startswith("tests/")]
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        if "architecture" not in path.parts and "pytest.mark.long" in path.read_text():
+            assert any(path.is_relative_to(ROOT / folder) for folder in folders), path
+
+
 def imported(path: Path) -> set[str]:
     """Dotted names of all that a module imports, of the packages above it, and of names taken from modules."""
     found = set()

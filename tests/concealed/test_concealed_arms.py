@@ -129,6 +129,7 @@ def test_the_motors_encoder_sees_the_motor() -> None:
     assert abs(link - as_is) > 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speeds", [True, False])
 def test_nothing_but_what_is_measured_depends_on_the_cause(speeds: bool) -> None:
     null = conceal(Recipe(None, 3, speeds), 2, 100, 7)

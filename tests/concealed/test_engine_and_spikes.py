@@ -40,6 +40,7 @@ def test_every_cause_changes_the_machine_and_nothing_else_does() -> None:
         assert len({Machine(), small, large}) == 3
 
 
+@pytest.mark.long
 def test_causes_have_their_effects_in_the_engine(usual: Set) -> None:
     of = lambda cause: record(changed(cause, True), np.random.default_rng(0))  # noqa: E731
     sag = lambda s: (s.measured[:, 1:, 11] - s.command[:, :-1, 5]).mean()  # noqa: E731
@@ -52,6 +53,7 @@ def test_causes_have_their_effects_in_the_engine(usual: Set) -> None:
     assert (tilted.measured[..., 3]).mean() > usual.measured[..., 3].mean() + 0.02
 
 
+@pytest.mark.long
 def test_a_case_of_the_engine_has_a_key_with_reasons() -> None:
     case = engine.conceal("joint friction", True, np.random.default_rng(0))
     (effect,) = case.key["effects"]

@@ -284,6 +284,7 @@ def test_the_command_line_writes_late_recordings(tmp_path: Path) -> None:
     np.testing.assert_array_equal(written.state[:, 0], [0.0, 0.5, 1.0, 1.5])
 
 
+@pytest.mark.long
 def test_the_notebook_runs_and_finds_the_friction() -> None:
     """As a person runs it, in a kernel of its own, from the project's folder."""
     notebook = nbformat.read(ROOT / "examples" / "diagnosis.ipynb", as_version=4)

@@ -33,6 +33,7 @@ def workers() -> list[psutil.Process]:
     return there
 
 
+@pytest.mark.long
 def test_a_killed_worker_is_replaced_and_its_cell_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     overrides: dict[str, Any] = {**TINY, "train": {**TINY["train"], **TRAIN}}
     params, workspace = load_params(ROOT / "params.yaml", overrides), Workspace(Path(), "virtual")

@@ -50,6 +50,7 @@ def run_id(folder: Path, prefect_server: dict[str, str]) -> Iterator[str]:
         sys.modules.pop(name, None)
 
 
+@pytest.mark.long
 def test_the_diagnosis_is_a_run_in_mlflow(folder: Path, run_id: str) -> None:
     client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
     experiment = client.get_experiment_by_name("diagnosis")
@@ -79,6 +80,7 @@ def test_the_diagnosis_is_a_run_in_mlflow(folder: Path, run_id: str) -> None:
     assert {"diagnosis.json", "diagnosis.html", "augmented.npz"} <= logged
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("run_id")
 def test_the_augmented_simulator_is_a_model_in_mlflow(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(folder))  # the simulator's own module must be importable
@@ -125,6 +127,7 @@ def test_wrong_input_is_refused_before_any_work(
     assert not (folder / "unused").exists()
 
 
+@pytest.mark.long
 def test_models_that_are_given_a_diagnosis(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_server: dict[str, str]
 ) -> None:

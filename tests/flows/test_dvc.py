@@ -152,10 +152,11 @@ def test_the_proofs_pipeline_is_complete(run: Callable[..., str]) -> None:
         (("list", "pipelines/ground/dvc.yaml"), ["ground"]),
         (("list", "pipelines/diagnosed/dvc.yaml"), ["sweep"]),
         (("list", "pipelines/seeds/dvc.yaml"), ["sweep@spot", "sweep@virtual"]),
+        (("list", "pipelines/long_tests/dvc.yaml"), ["simgap", "pipeline"]),
     ],
-    ids=["external", "ground", "diagnosed", "seeds"],
+    ids=["external", "ground", "diagnosed", "seeds", "long_tests"],
 )
-def test_pipelines_of_a_single_stage_are_complete(
+def test_pipelines_beside_them_are_complete(
     run: Callable[..., str], listed: tuple[str, str], stages: list[str]
 ) -> None:
     found = run("dvc", "stage", *listed)

@@ -54,6 +54,7 @@ def results(folder: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 def test_every_stage_killed_midway_ends_as_if_it_had_not_been(work: Work, tmp_path: Path) -> None:
     commands, whole, killed = [f"{s} virtual" for s in WRITES], place(tmp_path / "whole"), place(tmp_path / "killed")
     assert work(whole, *commands) == 0

@@ -67,6 +67,7 @@ def test_recordings_that_are_a_link_out_of_the_project_are_not_deleted(tmp_path:
     assert "Traceback" not in output
 
 
+@pytest.mark.long
 def test_a_second_command_in_one_workspace_is_refused_and_deletes_nothing(tmp_path: Path) -> None:
     """Whereas a sweep, which has a workspace of its own, goes on beside the first."""
     project = place(tmp_path / "project")

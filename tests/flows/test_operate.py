@@ -580,6 +580,7 @@ def test_down_stops_all_of_it_and_nothing_else(place: Place) -> None:
     assert place.run("python", "-m", "flows.servers", "down") == (0, "")
 
 
+@pytest.mark.long
 def test_on_other_addresses_a_login_is_asked_for(browser: Any, tmp_path: Path) -> None:
     with brought_up(tmp_path, "0.0.0.0") as place:
         assert place.login is not None

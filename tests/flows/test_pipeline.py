@@ -201,6 +201,7 @@ def test_a_logged_model_loads_and_predicts(finished: tuple[Path, str], monkeypat
         assert (table[[f"std_{name}" for name in SCHEMA.encoded]].to_numpy() > 0).all()
 
 
+@pytest.mark.long
 def test_a_run_killed_halfway_resumes_and_repeats_no_finished_cell(tmp_path: Path) -> None:
     """A sweep, which trains and scores and does nothing besides; `test_killed` has every stage."""
     train = {**TINY["train"], "models": ["sim_model"], "sample_sizes": [40], "seeds": [*range(len(CELLS))]}

@@ -40,6 +40,7 @@ def kill(server: subprocess.Popen[bytes]) -> None:
     server.wait()
 
 
+@pytest.mark.long
 def test_what_was_trained_while_the_server_was_gone_is_logged_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

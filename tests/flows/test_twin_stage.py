@@ -24,6 +24,8 @@ from tasks.params import Params, load_params
 from tasks.twin import BLACK_BOX, KNOWN, SIM_MODEL, UNKNOWN
 from tasks.workspace import TwinShare, Workspace
 
+pytestmark = pytest.mark.long
+
 CELLS = {"models": ["sim_model"], "sample_sizes": [40], "seeds": [0]}
 OVERRIDES: dict[str, Any] = {
     **TINY,

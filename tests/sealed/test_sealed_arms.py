@@ -65,6 +65,7 @@ def statement(replay: dict[str, float], **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_scores_of_a_suite_of_arms(workspace: SealedWorkspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Statements made up: the null is quiet, the friction is named, with a constant that is 2 % off."""
     monkeypatch.chdir(workspace.root)
@@ -113,6 +114,7 @@ def test_the_part_that_is_run_first_is_a_sample_of_the_whole() -> None:
     assert whole["repeats"] == whole["parts"]
 
 
+@pytest.mark.long
 def test_a_case_is_diagnosed_by_its_own_model(tmp_path: Path) -> None:
     """The one real diagnosis: by a process that is locked away from the keys, of a user's model and recordings."""
     workspace, params = SealedWorkspace(tmp_path, "arm"), params_with(nulls=0, sessions=4, rows=100)

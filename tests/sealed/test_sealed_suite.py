@@ -119,6 +119,7 @@ def test_names_and_hashes_are_published_and_nothing_else(workspace: SealedWorksp
     assert workspace.secret.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.long
 def test_every_case_is_scored_and_the_report_is_whole(
     examined: SealedWorkspace,
     params: SealedParams,
@@ -153,6 +154,7 @@ def test_every_case_is_scored_and_the_report_is_whole(
     assert {path: path.read_bytes() for path in report.parent.rglob("*") if path.is_file()} == written
 
 
+@pytest.mark.long
 def test_an_examinations_failures_are_drawn(
     examined: SealedWorkspace, params: SealedParams, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +179,7 @@ def test_an_examinations_failures_are_drawn(
     assert set(pd.read_csv(examination.history)["suite"]) == {"development", "examination"}
 
 
+@pytest.mark.long
 def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(
     examined: SealedWorkspace, params: SealedParams
 ) -> None:
@@ -191,6 +194,7 @@ def test_cases_of_two_versions_of_the_code_are_not_scored_as_one(
         write_json(path, record)
 
 
+@pytest.mark.long
 def test_another_key_than_the_published_one_is_refused(examined: SealedWorkspace, params: SealedParams) -> None:
     closed, published = examined.sealed.read_bytes(), read_json(examined.manifest)["keys"]
     secret = examined.secret.read_bytes()
@@ -205,6 +209,7 @@ def test_another_key_than_the_published_one_is_refused(examined: SealedWorkspace
         examined.sealed.write_bytes(closed)
 
 
+@pytest.mark.long
 def test_seeds_of_an_examination_are_fixed_by_code_and_round(params: SealedParams) -> None:
     asked = params.conceal
     later = asked.model_copy(update={"round": 1})

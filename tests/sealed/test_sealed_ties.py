@@ -72,6 +72,7 @@ def test_a_tie_has_what_was_recorded_and_the_experiment(other: SealedWorkspace, 
     assert recordings_of(other.case(before)) == [other.case(before)], "where nothing was prescribed, the case itself"
 
 
+@pytest.mark.long
 def test_a_tie_is_diagnosed_with_both_and_scored(workspace: SealedWorkspace, params: SealedParams) -> None:
     examine.run("ties", params, workspace.root)
     (case,) = opened(workspace)[1]

@@ -36,6 +36,7 @@ def rows(count: int, seed: int) -> fsvgd.Data:
     return x, y + 0.01 * draws.normal(jax.random.key(seed + 1), y.shape)
 
 
+@pytest.mark.long
 def test_the_simulators_knowledge_helps_where_data_are_few() -> None:
     data, (x_test, y_test) = rows(150, 1), rows(300, 5)
     noise, key = FAMILIES["gaussian"], jax.random.key(3)

@@ -150,6 +150,7 @@ def test_a_diagnosis_that_fails_leaves_no_other_in_its_place(
     assert len(asked) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["sim_model_diagnosed", "sim_fsvgd_diagnosed", "residual_diagnosed"])
 @pytest.mark.usefixtures("asked")
 def test_a_diagnosed_cell_is_trained_and_scored(workspace: Workspace, recordings: list[Recording], model: str) -> None:
@@ -173,6 +174,7 @@ def test_a_diagnosed_cell_is_trained_and_scored(workspace: Workspace, recordings
     assert type(fitted) is kinds[model]
 
 
+@pytest.mark.long
 def test_where_nothing_is_found_the_model_is_its_twin(workspace: Workspace, recordings: list[Recording]) -> None:
     rows, nothing = transitions.load(workspace, "training"), late(recordings, 0.0)
     for twin in ("sim_model", "sim_fsvgd"):

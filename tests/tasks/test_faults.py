@@ -301,6 +301,7 @@ with one_server():
 """
 
 
+@pytest.mark.long
 def test_a_prefect_server_that_a_cluster_starts_is_for_it_alone(tmp_path: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     done = subprocess.run(

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[2]
 NOTHING_MISSING = 9
 
 
+@pytest.mark.long
 def test_every_case_is_a_row_and_a_finished_one_is_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def done(folder: Path) -> subprocess.CompletedProcess[str]:
     return done
 
 
+@pytest.mark.long
 def test_the_statement_is_printed_and_where_the_page_is(folder: Path, done: subprocess.CompletedProcess[str]) -> None:
     found = json.loads((folder / "found" / "diagnosis.json").read_text())
     assert json.loads(done.stdout) == found
@@ -55,6 +56,7 @@ def test_the_statement_is_printed_and_where_the_page_is(folder: Path, done: subp
     assert "Warning" not in done.stderr
 
 
+@pytest.mark.long
 def test_the_experiment_is_there_if_it_is_called_for(folder: Path, done: subprocess.CompletedProcess[str]) -> None:
     found = json.loads(done.stdout)
     commands = folder / "found" / "experiment.csv"
@@ -66,11 +68,13 @@ def test_the_experiment_is_there_if_it_is_called_for(folder: Path, done: subproc
         assert table["time_s"].diff().dropna().to_numpy() == pytest.approx(0.02)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("done")
 def test_nothing_but_the_output_is_left(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} - {"__pycache__"} == {"rail", "empty", "mine.py", "found"}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("done")
 def test_the_corrected_simulator_is_loaded_from_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)

@@ -17,6 +17,8 @@ import simgap
 from examples.arm import JOINTS, MODEL
 from simgap.simulators.mujoco import MujocoEngine, load
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "how_to" / "mujoco.md").read_text()
 FACTOR = 20

@@ -18,6 +18,8 @@ from simgap.recordings import split
 from simgap.types import Recording, Sessions
 from tasks.augmented_pyfunc import _load_pyfunc
 
+pytestmark = pytest.mark.long
+
 SIMULATOR = """
 import jax.numpy as jnp
 from simgap.types import Field, Parameter, Schema

@@ -35,12 +35,14 @@ def test_its_gain_is_in_units_of_its_usual_size() -> None:
     assert K[0, 1] == 0
 
 
+@pytest.mark.long
 def test_where_nothing_is_missing_nothing_is_found() -> None:
     statement = diagnose(Tanks(), "tanks", recorded()).statement
     assert statement["found"] == []
     assert statement["verdict"] in ("nothing", "parameters_only", "inconclusive")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("tank", "width"), [("upper", 4.0), ("lower", 0.1)])
 def test_an_overflow_is_named_with_its_level(tank: str, width: float) -> None:
     """Of the upper tank, whose level is not measured, as well: below, it looks as if the pump gave no more."""

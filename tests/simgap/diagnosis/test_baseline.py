@@ -18,6 +18,8 @@ from simgap.diagnosis.inference.two_sample import differs
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.types import Recording, Sessions
 
+pytestmark = pytest.mark.long
+
 SAG = acting("gravity_sag", (0.06,))
 BOTH = SAG | acting("delay", (1.4,), (0, 1, 2))
 STALLS = 0.1

@@ -114,6 +114,7 @@ def contest(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return request.param, Contest(problem, v, base, fitted(problem, v, engine.split("pan"), Gains(base, base)))
 
 
+@pytest.mark.long
 def test_the_hidden_state_that_is_there_explains_most(contest: tuple[str, Contest]) -> None:
     truth, (_, _, base, (best, other)) = contest
     effect, constant = {"play": ("link_backlash", 0.03), "spring": ("elastic_joint", 1 / 60)}[truth]
@@ -139,6 +140,7 @@ def without_it(contest: Contest, recording: Recording) -> float:
     return float(found)
 
 
+@pytest.mark.long
 def test_the_corrected_simulator_has_it_as_states_that_are_zero_at_first(
     contest: tuple[str, Contest], tmp_path: Path
 ) -> None:
@@ -159,6 +161,7 @@ def test_the_corrected_simulator_has_it_as_states_that_are_zero_at_first(
     assert error(path, recording) < 0.3 * without_it(case, recording)
 
 
+@pytest.mark.long
 def test_the_patched_model_is_nearer_to_the_robot(contest: tuple[str, Contest], tmp_path: Path) -> None:
     """Stepped by MuJoCo alone, as a person would."""
     truth, case = contest
@@ -179,6 +182,7 @@ def test_the_patched_model_is_nearer_to_the_robot(contest: tuple[str, Contest], 
     assert error(path, recording) < 0.3 * without_it(case, recording)
 
 
+@pytest.mark.long
 def test_open_loop_errors_are_of_the_simulator_that_has_it(contest: tuple[str, Contest]) -> None:
     truth, case = contest
     models = dict.fromkeys(("nominal", "refitted", "augmented"), Contestant(case.v))
@@ -190,6 +194,7 @@ def test_open_loop_errors_are_of_the_simulator_that_has_it(contest: tuple[str, C
     assert errors["augmented"] < 0.3 * errors["nominal"]
 
 
+@pytest.mark.long
 def test_it_takes_the_place_of_what_stood_in_for_it_alone(contest: tuple[str, Contest]) -> None:
     _, case = contest
     own = case.problem.augmented
@@ -213,6 +218,7 @@ def test_it_takes_the_place_of_what_stood_in_for_it_alone(contest: tuple[str, Co
     np.testing.assert_allclose(model.gain, np.pad(gain, (0, 2)))
 
 
+@pytest.mark.long
 def test_notes_say_which_models_have_it(contest: tuple[str, Contest]) -> None:
     _, case = contest
     (first,) = case.found.hidden
@@ -225,6 +231,7 @@ def test_notes_say_which_models_have_it(contest: tuple[str, Contest]) -> None:
     assert left_out.startswith(f"The corrected simulator lacks {effect} at lift")
 
 
+@pytest.mark.long
 def test_innovations_by_numpy_are_those_of_the_filter() -> None:
     engine = Servos(velocities=False)
     sessions = guessed(engine, Sessions(recorded((0.3, 0.0, 0.0), velocities=False, sessions=2, rows=80), [], []))

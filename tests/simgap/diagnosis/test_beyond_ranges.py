@@ -32,6 +32,7 @@ def with_effect(name: str, friction: float) -> Explanation:
     return found._replace(fit=fit, members=(member,))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "friction", "needed"),
     [("viscous_drag on velocity", 0.0, False), ("coulomb_friction on velocity", 3.0, True)],

@@ -73,6 +73,7 @@ def test_a_shifted_table_is_the_engine_at_its_new_points_with_its_old_derivative
     np.testing.assert_allclose(there.then + moved.phi @ there.by_phi + of_terms, expected, atol=1e-5)
 
 
+@pytest.mark.long
 def test_tables_for_one_fit_serve_it_like_tables_for_all() -> None:
     sessions = Sessions(*split(recorded((0.3, 0.0, 0.0), sessions=4, rows=80)))
     augmented = Augmented(ENGINE)
@@ -134,6 +135,7 @@ def test_a_velocity_without_a_column_is_guessed_and_no_measurement() -> None:
     assert np.corrcoef(full.state[:, 2], whole.state[:, 2])[0, 1] > 0.95
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("velocities", [True, False])
 def test_friction_of_a_joint_is_named_alone(velocities: bool) -> None:
     recordings = recorded((0.3, 0.0, 0.0), velocities=velocities, sessions=4, rows=160)
@@ -143,6 +145,7 @@ def test_friction_of_a_joint_is_named_alone(velocities: bool) -> None:
     assert effect["constants"][0]["value"] == pytest.approx(0.3, rel=0.1)
 
 
+@pytest.mark.long
 def test_where_only_parameters_were_far_off_the_innovations_of_the_fit_are_decorrelated_and_nothing_is_named() -> None:
     far = (1.0, -0.9, 0.9, 0.9)
     recordings = recorded(phi=far, sessions=4, rows=160)
@@ -152,6 +155,7 @@ def test_where_only_parameters_were_far_off_the_innovations_of_the_fit_are_decor
     np.testing.assert_allclose(np.corrcoef(found.fit.e.T), np.eye(4), atol=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("pushed", "key"),
     [(Push(0.3), "constant_load"), (Push(0.6, session=0, rows=range(60, 110)), "external_push.on_joint")],

@@ -179,6 +179,7 @@ def test_columns_are_derivatives_of_the_decorrelated_innovations() -> None:
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(change)
 
 
+@pytest.mark.long
 def test_two_effects_that_act_in_two_regimes_are_fitted_at_the_same_time() -> None:
     names = [f.name for f in features(SPOT.layout)]
     far, turning = Regime(names.index("reach"), 1.0, 0.8), Regime(names.index("base |yaw rate|"), 1.0, 0.3)

@@ -113,6 +113,7 @@ def test_several_effects_at_once_leave_nothing_either() -> None:
     assert np.abs(seen(constants, recorded)).max() < 1e-5
 
 
+@pytest.mark.long
 def test_rows_that_are_unevenly_spaced_advance_by_their_own_interval() -> None:
     augmented, phi = Augmented(DRIVE), jnp.array([2.0, 4.0])
     rng = np.random.default_rng(0)

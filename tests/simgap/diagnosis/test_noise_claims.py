@@ -71,6 +71,7 @@ def test_outputs_that_are_predicted_exactly_are_no_warning() -> None:
     assert explained(ROBOT, fit_noise(samples[0].e), *samples) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "names"), CONSTANTS.items())
 def test_intervals_of_rows_hold_the_truth_as_often_as_they_say(kind: str, names: dict[str, float]) -> None:
     found = [f.constants for f in (said(kind, seed) for seed in range(ROW_SETS)) if f is not None]

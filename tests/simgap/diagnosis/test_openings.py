@@ -36,6 +36,7 @@ def _found(monkeypatch: pytest.MonkeyPatch) -> list[Found]:
     return found
 
 
+@pytest.mark.long
 def test_a_search_that_begins_with_a_wrong_effect_ends_with_the_right_ones(found: list[Found]) -> None:
     case = recorded(1, CART, "two", ("friction", "saturation"))
     lines: list[str] = []

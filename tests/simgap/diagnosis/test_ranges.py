@@ -111,6 +111,7 @@ class Known(Drive):
         return Drive().step(jnp.array([2.5, 4.0]), state, command)
 
 
+@pytest.mark.long
 def test_a_simulator_without_parameters_is_diagnosed() -> None:
     recordings = driven((2.5, 4.0))
     stated = diagnose(Known(parameters=()), "known", Sessions(recordings[:3], recordings[3:])).statement

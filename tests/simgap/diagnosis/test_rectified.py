@@ -65,6 +65,7 @@ def diagnosis():
     return diagnose(Belt(), "belt", recorded(rectified=True))
 
 
+@pytest.mark.long
 def test_a_lost_sign_is_named_though_parameters_may_hide_it(diagnosis) -> None:
     """Without it, the best strength is nearly zero: then the voltage says nothing of the speed, nor does its sign."""
     (named,) = diagnosis.statement["effects"]
@@ -75,6 +76,7 @@ def test_a_lost_sign_is_named_though_parameters_may_hide_it(diagnosis) -> None:
     assert high - low < 0.1
 
 
+@pytest.mark.long
 def test_forecasts_begin_with_the_sign_that_the_rows_before_them_show(diagnosis) -> None:
     models = diagnosis.statement["fit"]["models"]
     assert models["augmented"]["error_50"]["value"] < 0.2 * models["refitted"]["error_50"]["value"]

@@ -39,6 +39,7 @@ def test_a_channel_is_at_the_axis_that_it_drives() -> None:
         assert layout.schema.command[layout.driven[body, axis]].name == site.name == place.channels[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "machine", "families", "named"),
     [(6, CART, ("lag",), {"lag"}), (1, PAIR, ("delay", "rate_limit"), {"delay", "rate_limit"})],
@@ -53,6 +54,7 @@ def test_what_a_law_is_wrong_by_has_no_name(
     assert all(m.misfit > 0 for m in found.members)
 
 
+@pytest.mark.long
 def test_where_the_law_is_nearly_exact_bending_it_gains_next_to_nothing() -> None:
     case = recorded(1, PAIR, "within", ("play",))
     found = explain(case.machine, case.sessions, np.random.default_rng(0), print)

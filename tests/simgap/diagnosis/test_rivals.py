@@ -73,6 +73,7 @@ def test_velocities_of_all_bodies_may_be_equally_old() -> None:
     assert {"base velocity", "sensors of pose", "sensors"} < delays.keys()
 
 
+@pytest.mark.long
 def test_what_only_the_last_search_found_is_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     def last_of_three(*given: Any) -> Any:
         found, recorded = explained(*given)

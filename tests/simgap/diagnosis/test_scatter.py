@@ -59,6 +59,7 @@ def test_planted_stepping_is_told_with_its_frequency(output: int, name: str, her
     assert found.heldout_gain > 10
 
 
+@pytest.mark.long
 def test_weak_stepping_is_told_where_it_lasts() -> None:
     """In a third of the amplitude, eight sessions to fit and as many held out."""
     still = [r for seed in range(4) for part in sessions({}, seed) for r in part]

@@ -98,6 +98,7 @@ def test_every_effect_is_planted() -> None:
     assert {c.values[0] for c in CASES} | set(UNSEEN) == set(KEYS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("key", "constants", "sites", "more"), CASES)
 def test_planted_effects_are_named_with_their_constants(
     key: str, constants: tuple[float, ...], sites: tuple[int, ...], more: dict
@@ -146,6 +147,7 @@ def test_a_wrong_parameter_is_refitted_and_no_effect_is_claimed() -> None:
 # Effects that look alike
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("key", "constants", "sites"),
     [
@@ -170,6 +172,7 @@ def test_where_two_effects_look_alike_the_true_one_is_among_the_credible(
     assert KEYS[key].id in credible
 
 
+@pytest.mark.long
 def test_two_effects_are_found_together() -> None:
     planted = {**acting("delay", (1.4,), BASE), **acting("gravity_sag", (0.1,))}
     found = explain(*sessions(planted, RICH))
@@ -179,6 +182,7 @@ def test_two_effects_are_found_together() -> None:
     assert all(m.odds[m.hypothesis.effect.id] > 0.9 for m in found.members)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("frame", ["world_frame", "own_frame"])
 def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
     """And no drift in the robot's own frame, which is the same law but acts all the time."""
@@ -200,6 +204,7 @@ def test_a_push_during_a_stretch_is_found_with_its_time(frame: str) -> None:
     assert value_of(found.fit.v, member.hypothesis.groups[0]) == pytest.approx(0.25, rel=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("key", "constant", "from_s", "session"),
     [("quadratic_drag", 0.25, 10.0, None), ("gain", -0.2, 10.0, None), ("quadratic_drag", 0.35, 5.0, 1)],
@@ -224,6 +229,7 @@ def test_what_is_nothing_over_all_sessions_is_found_with_its_beginning(
     assert value_of(found.fit.v, member.hypothesis.groups[0]) == pytest.approx(constant, rel=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("key", "constant", "site", "rule"),
     [
@@ -251,6 +257,7 @@ def test_the_regime_is_found_in_which_an_effect_acts(key: str, constant: float, 
     assert acts.delta.any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reach", [1.1, 1.13])
 def test_a_limit_that_is_seldom_reached_is_found(reach: float) -> None:
     """It acts in a few blocks of rows only, and between the starts of the search."""

@@ -33,6 +33,7 @@ def nothing() -> Diagnosis:
 # A planted delay
 
 
+@pytest.mark.long
 def test_a_planted_delay_is_told() -> None:
     stated = delayed().statement
     assert stated["verdict"] == "missing_physics"
@@ -187,6 +188,7 @@ def nameless(law: Callable[[jax.Array], jax.Array]) -> Diagnosis:
     return diagnose(SPOT, "spot", Sessions(recorded[:-1], recorded[-1:]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
 def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable, outputs: set[str]) -> None:
     stated = nameless(law).statement

@@ -62,6 +62,7 @@ BRISTLES = {"force": FORCE, "length": LENGTH}
 SPRING = {"stiffness": FORCE / LENGTH, "length": LENGTH}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("form", "constants"), [("gradual", BRISTLES), ("sliding", BRISTLES), ("elastic", SPRING)])
 def test_hysteresis_is_named_with_its_constants(form: str, constants: dict[str, float]) -> None:
     check_named_alone(stated(JOINT, bending, 0, slope=SLOPES[form]), f"hysteresis.{form}", constants)
@@ -129,6 +130,7 @@ def test_a_place_has_one_law_of_dry_friction() -> None:
     assert not any(_of_one_kind(elsewhere, laws[key]) for key in kind)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("key", "most", "constants"),
     [

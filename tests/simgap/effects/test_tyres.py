@@ -37,6 +37,7 @@ def session(rng: np.random.Generator, slip: float = 0.0, understeer: float = 0.0
 PLANTED = {"tyre_slip.sideways": {"slip": 0.15}, "tyre_slip.turning": {"understeer": 0.2}}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", PLANTED)
 def test_what_is_planted_is_named_with_its_constants(key: str) -> None:
     check_named_alone(stated(CAR, session, 0, **PLANTED[key]), key, PLANTED[key])

@@ -228,6 +228,7 @@ def test_a_name_that_is_no_utf_8_is_shown_and_read(tmp_path: Path) -> None:
     assert r"b\udcff.csv" in page
 
 
+@pytest.mark.long
 def test_two_thousand_sessions_are_a_page(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for i in range(2000):

@@ -48,6 +48,7 @@ def test_a_case_is_drawn_from_its_number_alone() -> None:
         np.testing.assert_array_equal(a.state, b.state)
 
 
+@pytest.mark.long
 def test_all_kinds_come_and_have_what_they_are_called() -> None:
     counts = {"nothing": {0}, "within": {1}, "two": {2}, "outside": {1}, "mixed": {2}, "many": {3, 4, 5}}
     named = {"nothing": {0}, "within": {1}, "two": {2}, "outside": {0}, "mixed": {1}, "many": set(range(6))}

@@ -29,6 +29,7 @@ def from_home(state: np.ndarray) -> np.ndarray:
     return np.hypot(*(state[:, 6:8] - state[:, :2] - np.stack([c, s], 1) * HOME[0]).T)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", range(FIRST, FIRST + 5))
 def test_cases_from_the_first_on_are_of_it(number: int) -> None:
     case = draw(number)

@@ -53,6 +53,7 @@ def result(logs: Path, heard: list[str]) -> simgap.Result:
     return simgap.diagnose(MODEL, tables(logs, ("elbow",)), progress=heard.append)
 
 
+@pytest.mark.long
 def test_the_rest_is_diagnosed(result: simgap.Result, heard: list[str]) -> None:
     names = [f.name for f in (*result.diagnosed.schema.state, *result.diagnosed.schema.command)]
     assert names == ["pan_pos", "shoulder_pos", "pan_vel", "shoulder_vel", "cmd_pan", "cmd_shoulder"]
@@ -64,6 +65,7 @@ def test_the_rest_is_diagnosed(result: simgap.Result, heard: list[str]) -> None:
     assert heard[0] == result.statement["notes"][0]
 
 
+@pytest.mark.long
 def test_a_note_names_the_joint_the_reason_and_the_remedy(result: simgap.Result) -> None:
     (note,) = (note for note in result.statement["notes"] if "left out" in note)
     assert note.startswith(NOTE)
@@ -71,6 +73,7 @@ def test_a_note_names_the_joint_the_reason_and_the_remedy(result: simgap.Result)
     assert NOTE in result.to_html()
 
 
+@pytest.mark.long
 def test_what_is_saved_is_loaded_again(result: simgap.Result, tmp_path: Path) -> None:
     result.save(tmp_path)
     columns = json.loads((tmp_path / "diagnosis.json").read_text())["model_file"]["columns"]

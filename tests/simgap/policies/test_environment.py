@@ -74,6 +74,7 @@ def test_episodes_begin_in_the_box_of_the_recordings_with_goals_about_the_hand()
     assert (start.goal[:, 2].min(), start.goal[:, 2].max()) == pytest.approx((0.2, 1.0), abs=0.01)
 
 
+@pytest.mark.long
 def test_within_bounds_an_episode_begins_there_and_is_lost_where_a_run_would_be_stopped() -> None:
     keys = jax.random.split(jax.random.key(0), 1000)
     near = BOX._replace(state_low=BOX.state_low.at[6].set(0.1))

@@ -47,6 +47,7 @@ class Pendulum:
         return Step(jnp.array([theta + 0.05 * omega, omega]), -cost, jnp.bool_(False))
 
 
+@pytest.mark.long
 def test_a_pendulum_is_swung_up_as_well_as_is_published() -> None:
     task = Pendulum(jnp.float32(2.0))
     rates = {"learning_rate_alpha": 1e-3, "learning_rate_policy": 1e-3, "learning_rate_q": 1e-3}

@@ -17,6 +17,7 @@ def ignore(_step: int, _metrics: dict[str, float]) -> None:
     """No report."""
 
 
+@pytest.mark.long
 def test_a_policy_learnt_in_the_kinematic_model_reaches_its_goal_there() -> None:
     env = spot(kinematic(), WHOLE)
     rates = dataclasses.replace(SAC, learning_rate_alpha=3e-3, learning_rate_policy=1e-3, learning_rate_q=1e-3,

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from tiny_policies import BOX, LIMIT, WHOLE, kinematic
 
 from simgap.networks import init
@@ -14,6 +15,7 @@ from simgap.residual.model import ResidualModel, predict
 from simgap.simulators.spot import SCHEMA, Spot
 
 
+@pytest.mark.long
 def test_an_episode_follows_one_particle_and_every_row_draws_its_duration() -> None:
     params, durations = kinematic().params, jnp.array([0.5, 1.0, 3.0])
     one, particles = jnp.ones(()), init(jax.random.key(0), 5, (27, 16, 12))

@@ -76,6 +76,7 @@ def mean_return(act: object) -> float:
     return float(jax.vmap(run)(jax.random.split(jax.random.key(9), 256)).mean())
 
 
+@pytest.mark.long
 def test_a_linear_quadratic_task_is_solved_as_riccati_does() -> None:
     curve: list[float] = []
     learnt = learn.learn(jax.random.key(0), TASK, LEARN, CONFIG, lambda _, metrics: curve.append(metrics["return"]))

@@ -146,6 +146,7 @@ def test_a_row_of_several_steps_is_that_many_steps_with_the_command_held() -> No
     assert np.abs(after[4]).max() > np.abs(twice).max()  # beyond the steps that are run it goes on
 
 
+@pytest.mark.long
 def test_without_misfit_nothing_is_added(exact: ResidualModel) -> None:
     unseen = rows(ROWS, 11)
     none = dataclasses.replace(exact, particles=jax.tree.map(jnp.zeros_like, exact.particles))
@@ -158,6 +159,7 @@ def test_without_misfit_nothing_is_added(exact: ResidualModel) -> None:
     np.testing.assert_allclose(exact.durations, 1.0, atol=0.15)
 
 
+@pytest.mark.long
 def test_what_the_simulator_misses_is_learnt(held_back: Learnt) -> None:
     model, unseen = held_back.model, rows(ROWS, 11, bent=0.2)
     none = dataclasses.replace(model, particles=jax.tree.map(jnp.zeros_like, model.particles))
@@ -185,6 +187,7 @@ def test_rows_that_stall_are_found_and_their_number() -> None:
     assert nll(model, unseen) < nll(even, unseen) - 1.0
 
 
+@pytest.mark.long
 def test_long_predictions_keep_the_pace_of_the_sessions(exact: ResidualModel) -> None:
     model = dataclasses.replace(exact, params=PHI)
     assert float(pace.kept(model, [session(1.0)], CONFIG).pace) == 1.0
@@ -192,6 +195,7 @@ def test_long_predictions_keep_the_pace_of_the_sessions(exact: ResidualModel) ->
     assert float(pace.kept(model, [session(0.8, 12)], CONFIG).pace) == pytest.approx(0.8)  # shorter than the horizon
 
 
+@pytest.mark.long
 def test_a_residual_that_does_long_predictions_no_good_is_not_carried(exact: ResidualModel) -> None:
     wrong = dataclasses.replace(exact, params=PHI, unit=exact.unit * 0 + 0.1)
     assert float(pace.kept(wrong, [session()], CONFIG).carried) == 0.0
@@ -199,6 +203,7 @@ def test_a_residual_that_does_long_predictions_no_good_is_not_carried(exact: Res
     np.testing.assert_allclose(mean[0], state_difference(SPOT, PHI, rows(1, 3).x[0]), atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_prediction_is_a_mixture_over_particles_and_durations(exact: ResidualModel) -> None:
     p = predict(exact, rows(1, 3).x[0])
     assert p.mean.shape == (3 * CONFIG.durations, 13)
@@ -216,6 +221,7 @@ def test_whole_sessions_are_held_out() -> None:
     assert 0 < one_of_two.sum() < 4
 
 
+@pytest.mark.long
 def test_the_scale_is_chosen_by_the_sessions_held_out(described: Learnt, held_back: Learnt) -> None:
     """Rows that miss a lot in a smooth way call for the larger scale; where there is only noise, the smaller one."""
     for told, bent in ((held_back.told, 0.2), (described.told, 0.0)):

@@ -124,6 +124,7 @@ def test_departures_do_not_depend_on_where_the_robot_looks(
     np.testing.assert_allclose(departure(*map(turned, (state, then, real))), plain, atol=5e-5)
 
 
+@pytest.mark.long
 def test_rows_that_stalled_are_found() -> None:
     recorded, steps = sessions()
     found = rows.timed(twin().model, recorded[0]).duration[HISTORY:]
