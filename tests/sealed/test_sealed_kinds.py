@@ -52,6 +52,7 @@ def test_another_simulator_is_another_case(workspace: SealedWorkspace) -> None:
     assert fingerprint(workspace, name, 0, "code") == before
 
 
+@pytest.mark.long
 def test_a_machine_is_diagnosed_with_its_own_simulator_and_scored(
     workspace: SealedWorkspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:

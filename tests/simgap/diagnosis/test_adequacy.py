@@ -29,6 +29,8 @@ from simgap.diagnosis.validation.scores import (
 )
 from simgap.types import Recording, Sessions
 
+pytestmark = pytest.mark.long
+
 
 def judged(error: np.ndarray, moved: float = 1.0, sessions: int = 2, nll: float = 0.0) -> Judged:
     """Pieces [n, horizons, outputs] of sessions one after the other."""
@@ -159,7 +161,6 @@ def stated(kind: str) -> dict[str, Any]:
     return diagnose(AS_IT_IS, "spot", Sessions(training, heldout)).statement
 
 
-@pytest.mark.long
 def test_sessions_of_five_rows_are_too_little() -> None:
     said = stated("short")
     assert said["verdict"] == "inconclusive"
@@ -169,7 +170,6 @@ def test_sessions_of_five_rows_are_too_little() -> None:
     assert "Record at least" in said["statement"]
 
 
-@pytest.mark.long
 def test_where_nothing_moves_nothing_can_be_said() -> None:
     said = stated("still")
     assert said["verdict"] == "inconclusive"
@@ -189,7 +189,6 @@ def test_nothing_says_what_it_would_have_found_and_at_what_size() -> None:
     assert said["insufficient"] == []
 
 
-@pytest.mark.long
 def test_an_effect_of_the_size_that_is_stated_is_found() -> None:
     """Three times the smallest size is a gain of nine times what is needed."""
     (size,) = (v["size"] for v in stated("rich")["sensitivity"]["effects"]
@@ -218,7 +217,6 @@ def delay_and_more() -> dict[str, Any]:
     return diagnose(AS_IT_IS, "spot", Sessions(*([lifted(r) for r in some] for some in (training, heldout)))).statement
 
 
-@pytest.mark.long
 def test_a_strong_effect_is_named_though_more_is_missing() -> None:
     said = delay_and_more()
     assert said["verdict"] == "missing_physics"

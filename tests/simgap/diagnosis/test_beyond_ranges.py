@@ -16,6 +16,8 @@ from simgap.diagnosis.likelihood.problem import evaluate
 from simgap.diagnosis.validation.ranges import needed_beyond_ranges
 from simgap.types import Sessions
 
+pytestmark = pytest.mark.long
+
 NARROW = ranged((1.0, 5.0), (0.1, 2.0))
 """The damping is 5 N s/m."""
 
@@ -32,7 +34,6 @@ def with_effect(name: str, friction: float) -> Explanation:
     return found._replace(fit=fit, members=(member,))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "friction", "needed"),
     [("viscous_drag on velocity", 0.0, False), ("coulomb_friction on velocity", 3.0, True)],

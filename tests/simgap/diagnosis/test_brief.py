@@ -9,6 +9,8 @@ from simgap.diagnosis.diagnose import diagnose
 from simgap.diagnosis.inference.passes import explained
 from simgap.types import Recording, Sessions
 
+pytestmark = pytest.mark.long
+
 ROWS, FINER = 50, 20
 
 
@@ -29,7 +31,6 @@ def two_falls(drag: float, noise: float, seed: int) -> Sessions:
     return Sessions([fall(drag, noise, rng)], [fall(drag, noise, rng)])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_drag_is_found_in_one_fall_though_the_filter_hides_it(seed: int) -> None:
     """Where a model is wrong its filter follows the measurements, so that the score test alone may not see why."""

@@ -20,6 +20,8 @@ from simgap.effects.augmented import Augmented
 from simgap.effects.regime import EVERYWHERE
 from simgap.types import Field, Parameter, Recording, Schema, Sessions
 
+pytestmark = pytest.mark.long
+
 
 def _cart(body: str) -> tuple[Field, Field]:
     position = Field(f"{body}_p", "m", "position", "world", body, "x")
@@ -67,7 +69,6 @@ def proposed(model: Model, one: tuple[str, float], other: tuple[str, float], rec
     return design(model.problem, fits[0], fits[1], about, (EVERYWHERE,), recordings)
 
 
-@pytest.mark.long
 def test_it_moves_the_channel_that_the_question_is_about(pair: Model) -> None:
     # Their fits differ in nothing but the right cart, where the left is easily moved as well.
     found = proposed(pair, ("coulomb_friction on right_v", 1.0), ("viscous_drag on right_v", 0.8), side_by_side())
@@ -86,7 +87,6 @@ def test_a_difference_in_another_channel_is_no_experiment_about_this_one(pair: M
         assert np.abs(found.commands[:, 1]).max() > 0
 
 
-@pytest.mark.long
 def test_where_speeds_are_not_recorded_their_effect_is_seen_in_positions() -> None:
     """At the truth, so that the question is what an experiment would show."""
     state = tuple(replace(f, observed=f.kind == "position") for f in DRIVE.schema.state)

@@ -11,6 +11,8 @@ from simgap.diagnosis.exchange import exchanged
 from simgap.ground.machines import CART
 from simgap.types import Recording, Sessions
 
+pytestmark = pytest.mark.long
+
 ROWS, LIMIT = 200, 0.8
 
 
@@ -37,7 +39,6 @@ def stated(limit: float, exchangeable: bool) -> dict[str, Any]:
     return diagnose(CART, "cart", recorded(limit, exchangeable)).statement
 
 
-@pytest.mark.long
 def test_sessions_that_show_something_are_fitted_and_others_held_out() -> None:
     statement = stated(LIMIT, True)
     assert [e["id"] for e in statement["effects"]] == ["saturation"]

@@ -3,10 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+import pytest
 from jaxtyping import Array, Float
 
 import simgap
 from simgap.types import Field, Parameter, Schema
+
+pytestmark = pytest.mark.long
 
 STEP = 0.05
 

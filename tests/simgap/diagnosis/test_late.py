@@ -17,6 +17,8 @@ from simgap.diagnosis.inference.search.onsets import restriction
 from simgap.diagnosis.likelihood.problem import evaluate, start, whitening
 from simgap.types import Recording
 
+pytestmark = pytest.mark.long
+
 HYPOTHESES = {h.name: h for h in hypotheses_of(SPOT, SCALES)}
 DRIFT, GAIN = "gain_drift on cmd_base_vx", "gain on cmd_base_vx"
 

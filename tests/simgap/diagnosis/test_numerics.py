@@ -78,6 +78,7 @@ def free(model: Model) -> np.ndarray:
 FRICTION = "coulomb_friction on velocity"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("length", "mass"), [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
 def test_gains_and_derivatives_are_the_same_in_all_units(length: float, mass: float) -> None:
     found = []

@@ -122,6 +122,7 @@ def test_planted_effects_are_named_with_their_constants(
         assert value == pytest.approx(planted, abs=max(0.1 * abs(planted), 3 * sd[k]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [4.0, 1.0, 0.3])
 @pytest.mark.parametrize("seed", [RICH, 11, 12, 13])
 def test_nothing_is_claimed_where_nothing_is_planted(seed: int, noise: float) -> None:
@@ -133,6 +134,7 @@ def test_nothing_is_claimed_where_nothing_is_planted(seed: int, noise: float) ->
     assert not np.asarray(found.fit.v.theta).any()
 
 
+@pytest.mark.long
 def test_a_wrong_parameter_is_refitted_and_no_effect_is_claimed() -> None:
     phi = PHI.copy()
     phi[0], phi[20], phi[21] = 0.15, 1.5, 1.3  # the base's memory, how far it turns, how far the hand goes

@@ -18,6 +18,8 @@ from simgap.effects.augmented import Augmented
 from simgap.recordings import split
 from simgap.types import Recording, Sessions
 
+pytestmark = pytest.mark.long
+
 
 @cache
 def delayed() -> Diagnosis:
@@ -33,7 +35,6 @@ def nothing() -> Diagnosis:
 # A planted delay
 
 
-@pytest.mark.long
 def test_a_planted_delay_is_told() -> None:
     stated = delayed().statement
     assert stated["verdict"] == "missing_physics"
@@ -188,7 +189,6 @@ def nameless(law: Callable[[jax.Array], jax.Array]) -> Diagnosis:
     return diagnose(SPOT, "spot", Sessions(recorded[:-1], recorded[-1:]))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("law", "outputs"), [(by_heading, {"ee_x", "ee_vx"}), (by_speed_and_turn, {"ee_z", "ee_vz"})])
 def test_physics_outside_of_the_vocabulary_gets_no_confident_name(law: Callable, outputs: set[str]) -> None:
     stated = nameless(law).statement

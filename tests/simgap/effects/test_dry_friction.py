@@ -68,6 +68,7 @@ def test_hysteresis_is_named_with_its_constants(form: str, constants: dict[str, 
     check_named_alone(stated(JOINT, bending, 0, slope=SLOPES[form]), f"hysteresis.{form}", constants)
 
 
+@pytest.mark.long
 def test_what_builds_up_within_a_few_readings_is_dry_friction() -> None:
     (named,) = stated(JOINT, bending, 0, slope=SLOPES["sliding"], length=NOISE)["effects"]
     assert named["id"] == "coulomb_friction"

@@ -42,6 +42,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", PLANTED)
 def test_what_is_planted_is_named_with_its_constants(key: str) -> None:
     of, constants = PLANTED[key]

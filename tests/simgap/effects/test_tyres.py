@@ -43,6 +43,7 @@ def test_what_is_planted_is_named_with_its_constants(key: str) -> None:
     check_named_alone(stated(CAR, session, 0, **PLANTED[key]), key, PLANTED[key])
 
 
+@pytest.mark.long
 def test_where_nothing_is_planted_nothing_is_found() -> None:
     check_nothing_found(stated(CAR, session, 1))
 

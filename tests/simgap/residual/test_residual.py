@@ -180,6 +180,7 @@ def test_two_rare_durations_are_not_lost_together() -> None:
     assert float(made.mean()) == pytest.approx(sum(d * share for d, share in law.items()), rel=0.1)
 
 
+@pytest.mark.long
 def test_rows_that_stall_are_found_and_their_number() -> None:
     model, unseen = learn(rows(ROWS, 1, stalls=True)).model, rows(ROWS, 11, stalls=True)
     np.testing.assert_allclose(model.durations, [1.0] * 6 + [3.0] * 2, atol=0.2)

@@ -136,6 +136,7 @@ def test_rows_that_stalled_are_found() -> None:
     assert ((found > 2 * np.median(found)) == really)[moving].mean() > 0.9
 
 
+@pytest.mark.long
 def test_late_sensors_are_found_to_be_late() -> None:
     """The hand's more than the base's; by how much depends on how the fitted simulator integrates velocities."""
     base, hand = twin().ages

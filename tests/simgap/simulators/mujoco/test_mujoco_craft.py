@@ -56,6 +56,7 @@ def session(seed: int) -> pd.DataFrame:
     return pd.DataFrame(np.column_stack([STEP * np.arange(ROWS), state, np.array(commands)]), columns=COLUMNS)
 
 
+@pytest.mark.long
 def test_drag_of_a_craft_is_named_along_its_axes(tmp_path: Path) -> None:
     path = tmp_path / "craft.xml"
     path.write_text(CRAFT)
