@@ -76,11 +76,12 @@ class Parameter:
 @dataclass(frozen=True)
 class Schema:
     """The columns of a robot's recordings, in order. `mounts`: pairs (body, carrier), where a body is mounted on
-    another and turns with it, as a hand on a base."""
+    another and turns with it, as a hand on a base. `floating`: x, y, z, yaw, pitch and roll joints of free bodies."""
 
     state: tuple[Field, ...]
     command: tuple[Field, ...]
     mounts: tuple[tuple[str, str], ...] = ()
+    floating: tuple[tuple[str, ...], ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -95,7 +96,7 @@ class Schema:
     @property
     def measured(self) -> Schema:
         """This schema without the states that recordings lack: that of the recordings' own columns."""
-        return Schema(self.outputs, self.command, self.mounts)
+        return Schema(self.outputs, self.command, self.mounts, self.floating)
 
     @property
     def encoded(self) -> tuple[str, ...]:
