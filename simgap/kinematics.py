@@ -133,9 +133,14 @@ def _rotated(layout: Layout, vector: Float[Array, " s"], state: Float[Array, " s
     Entries that are not turned are left in place: XLA would compile a list of all entries to three loops for each.
     """
     out = vector
-    for ix, iy, heading in layout.horizontal:
-        x, y = turn(vector[ix], vector[iy], sign * state[heading])
-        out = substituted(substituted(out, ix, x), iy, y)
+    for b, heading in enumerate(layout.heading):
+        if heading is None:
+            continue
+        for table in (layout.velocity, layout.position):
+            ix, iy = (int(i) for i in table[b, [X, Y]])
+            if ix >= 0 and iy >= 0 and layout.schema.state[ix].frame == "world":
+                x, y = turn(vector[ix], vector[iy], sign * state[heading])
+                out = substituted(substituted(out, ix, x), iy, y)
     return out
 
 

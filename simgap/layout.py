@@ -108,9 +108,8 @@ class Layout:
         """Pairs of states (i, j) that are coupled in the bodies' own frames: measuring one informs about the other.
 
         States of one axis are: a body carries what is mounted on it, and a velocity moves its position. So are yaw and
-        y: a body that turns sweeps the arm ahead of it sideways. A joint's axis is coupled to no other body's, but a
-        body that floats falls to where it leans. Of an unmeasured state that is `apart` no axis says what informs about
-        it: all that is measured may.
+        y: a body that turns sweeps the arm ahead of it sideways. A joint's axis is coupled to no other body's. Of an
+        unmeasured state that is `apart` no axis says what informs about it: all that is measured may.
         """
         measured = np.flatnonzero(self.observed).tolist()
         return (*self._of_one_axis, *((i, j) for i in np.flatnonzero(self.apart).tolist() for j in measured))
@@ -128,33 +127,8 @@ class Layout:
     @cached_property
     def _of_one_axis(self) -> tuple[tuple[int, int], ...]:
         axis = [{"yaw": "y"}.get(f.axis, f.axis) if f.body else "" for f in self.schema.state]
-        leans = dict(pair for x, y, _, _, pitch, roll in self.schema.floating for pair in ((pitch, x), (roll, y)))
-        own = [leans.get(f.body, f.body) for f in self.schema.state]
-        kin = [b if f.body in self.joints else a for f, b, a in zip(self.schema.state, own, axis, strict=True)]
+        kin = [f.body if f.body in self.joints else a for f, a in zip(self.schema.state, axis, strict=True)]
         return tuple((i, j) for i, a in enumerate(kin) for j, b in enumerate(kin) if i != j and a and a == b)
-
-    @cached_property
-    def leaning(self) -> np.ndarray:
-        """Which states are pitch or roll of a body that floats, or the rates of these."""
-        tilts = {joint for *_, pitch, roll in self.schema.floating for joint in (pitch, roll)}
-        return np.array([f.body in tilts for f in self.schema.state])
-
-    @cached_property
-    def horizontal(self) -> tuple[tuple[int, int, int], ...]:
-        """State indices (x, y, yaw) of every pair along the world's horizontal axes that a recorded yaw turns."""
-        pairs = []
-        for b, heading in enumerate(self.heading):
-            for table in (self.velocity, self.position):
-                x, y = (int(i) for i in table[b, [X, Y]])
-                if heading is not None and x >= 0 and y >= 0 and self.schema.state[x].frame == "world":
-                    pairs.append((x, y, heading))
-        places, speeds = (
-            {f.body: i for i, f in enumerate(self.schema.state) if f.kind in kinds}
-            for kinds in (("position", "angle"), ("velocity",))
-        )
-        for x, y, _, yaw, *_ in self.schema.floating:
-            pairs += [(of[x], of[y], places[yaw]) for of in (speeds, places) if {x, y} <= of.keys() and yaw in places]
-        return tuple(pairs)
 
     def _same_frame(self, p: int, v: int) -> bool:
         """Whether a position and a velocity share a frame; in yaw, along z, and without a heading, all do."""

@@ -76,12 +76,11 @@ class Parameter:
 @dataclass(frozen=True)
 class Schema:
     """The columns of a robot's recordings, in order. `mounts`: pairs (body, carrier), where a body is mounted on
-    another and turns with it, as a hand on a base. `floating`: x, y, z, yaw, pitch and roll joints of free bodies."""
+    another and turns with it, as a hand on a base."""
 
     state: tuple[Field, ...]
     command: tuple[Field, ...]
     mounts: tuple[tuple[str, str], ...] = ()
-    floating: tuple[tuple[str, ...], ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -96,7 +95,7 @@ class Schema:
     @property
     def measured(self) -> Schema:
         """This schema without the states that recordings lack: that of the recordings' own columns."""
-        return Schema(self.outputs, self.command, self.mounts, self.floating)
+        return Schema(self.outputs, self.command, self.mounts)
 
     @property
     def encoded(self) -> tuple[str, ...]:

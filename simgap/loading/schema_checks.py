@@ -97,14 +97,6 @@ def _check_geometry(schema: Schema, name: str) -> None:
                 f"{name}: a mount's carrier must come before the body it carries in schema.state; in {mount!r} "
                 f"{carrier!r} does not. Move the carrier's fields to the front, or swap the pair (body, carrier)."
             )
-    check_tuple(schema.floating, tuple, "('hull_x', 'hull_y', 'hull_z', 'hull_yaw', 'hull_pitch', 'hull_roll')",
-                "schema.floating", name)  # fmt: skip
-    for joints in schema.floating:
-        if len(joints) != 6 or not any(joint in bodies for joint in joints):
-            raise ConfigError(
-                f"{name}: a body that floats must have six joints: along x, y and z, then yaw, pitch and roll, some of "
-                f"which the state names (its bodies: {known}); {joints!r} are none. Mend the names."
-            )
     twice = duplicates(body for body, _ in schema.mounts)
     if twice:
         raise ConfigError(

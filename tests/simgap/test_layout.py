@@ -31,20 +31,6 @@ OMNI = Layout(
     )
 )  # fmt: skip
 """A cart that turns, but is commanded in the world's frame."""
-HULL = tuple(f"hull_{part}" for part in ("x", "y", "z", "yaw", "pitch", "roll"))
-
-
-def afloat(*held: str) -> Layout:
-    """A body that floats, as six joints with their velocities, without those that are `held`."""
-    joints = [(j, "m", "x") if j in HULL[:3] else (j, "rad", "yaw") for j in HULL if j not in held]
-    return Layout(
-        Schema(
-            (*(Field(f"{j}_pos", u, "angle" if u == "rad" else "position", "body", j, a) for j, u, a in joints),
-             *(Field(f"{j}_vel", f"{u}/s", "velocity", "body", j, a, effort="N") for j, u, a in joints)),
-            (), floating=(HULL,),
-        )
-    )  # fmt: skip
-
 
 # Facing the world's y, walking and turning left; the hand 0.8 ahead and 0.1 to the left.
 SPOT_STATE = jnp.array([1.0, 2.0, np.pi / 2, 0.3, 0.4, 0.5, 0.9, 2.8, 0.6, -0.2, 0.45, 0.05])
@@ -269,36 +255,6 @@ def test_what_is_measured_of_a_body_tells_of_what_it_carries_and_of_nothing_else
     assert len(RAIL.akin) == 2
     assert not BARE.akin
     assert not any(layout.apart.any() for layout in (SPOT, RAIL, BARE))
-
-
-def test_a_body_that_floats_falls_to_where_it_leans() -> None:
-    layout = afloat()
-    names = [f.name for f in layout.schema.state]
-    pairs = {(names[i], names[j]) for i, j in layout.akin}
-    assert {("hull_x_vel", "hull_pitch_pos"), ("hull_roll_pos", "hull_y_pos"), ("hull_z_vel", "hull_z_pos")} <= pairs
-    apart = {("hull_x_pos", "hull_roll_pos"), ("hull_z_pos", "hull_pitch_pos"), ("hull_x_pos", "hull_y_pos")}
-    assert not pairs & (apart | {("hull_yaw_pos", "hull_x_pos")})
-    assert {n for n, leans in zip(names, layout.leaning, strict=True) if leans} == {
-        f"hull_{part}_{what}" for part in ("pitch", "roll") for what in ("pos", "vel")
-    }
-
-
-@given(st.integers(0, 2**31 - 1), angles)
-@quick
-def test_where_a_body_floats_to_is_seen_along_its_own_heading(seed: int, heading: float) -> None:
-    layout, (vector, state) = afloat(), np.random.default_rng(seed).normal(size=(2, 12))
-    state[3] = heading
-    own = to_own_frame(layout, jnp.array(vector), jnp.array(state))
-    np.testing.assert_allclose(own[:2], turn(vector[:2], -heading), atol=1e-5)
-    np.testing.assert_allclose(own[6:8], turn(vector[6:8], -heading), atol=1e-5)
-    np.testing.assert_allclose(own[2:6], vector[2:6], atol=1e-6)
-    np.testing.assert_allclose(to_world(layout, own, jnp.array(state)), vector, atol=1e-5)
-
-
-@pytest.mark.parametrize("held", ["hull_yaw", "hull_y"])
-def test_without_its_yaw_or_an_axis_nothing_is_turned(held: str) -> None:
-    layout, vector = afloat(held), jnp.arange(10.0)
-    np.testing.assert_array_equal(to_own_frame(layout, vector, vector), vector)
 
 
 @quick

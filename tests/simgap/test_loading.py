@@ -54,10 +54,8 @@ def complaint(simulator: Any) -> str:
     return message
 
 
-def schema_complaint(
-    state: Any = (CART_X, CART_V), command: Any = (FORCE,), mounts: Any = (), floating: Any = ()
-) -> str:
-    return complaint(Cart(schema=Schema(state, command, mounts, floating)))
+def schema_complaint(state: Any = (CART_X, CART_V), command: Any = (FORCE,), mounts: Any = ()) -> str:
+    return complaint(Cart(schema=Schema(state, command, mounts)))
 
 
 # What is right
@@ -335,9 +333,6 @@ def test_a_schema_of_another_kind() -> None:
             {"mounts": ("hand", "cart")},
             "schema.mounts must be a tuple of tuple; it holds 'hand' (str). Write (('hand', 'base'),),",
         ),
-        ({"floating": ("cart",)}, "schema.floating must be a tuple of tuple; it holds 'cart' (str)"),
-        ({"floating": (("cart", "hand"),)}, "must have six joints: along x, y and z, then yaw, pitch and roll"),
-        ({"floating": (tuple("abcdef"),)}, "(its bodies: cart); ('a', 'b', 'c', 'd', 'e', 'f') are none"),
         ({"command": (dataclasses.replace(FORCE, name="v"),)}, "v is there more than once"),
         ({"command": (dataclasses.replace(FORCE, name="time_s"),)}, "time_s is there more than once"),
         ({"command": (dataclasses.replace(FORCE, name=""),)}, "'' is none"),

@@ -7,15 +7,14 @@ import numpy as np
 
 from simgap.diagnosis.config import LEAST_SHARE, MOST_SUPPORTS
 from simgap.diagnosis.hypotheses.space import Hypothesis, behind, changed, hypotheses_of, within_session
-from simgap.diagnosis.hypotheses.support import ALWAYS, Support, Window, for_heldout, opened, to_its_end
+from simgap.diagnosis.hypotheses.support import ALWAYS, Since, Support, Window, for_heldout, opened, to_its_end
 from simgap.diagnosis.inference.explanation import Explanation
 from simgap.diagnosis.inference.fitting.heldout import agrees, by_row, gain
 from simgap.diagnosis.inference.fitting.model import Found, Model, Reporter, Round, Trial, refitted_without
-from simgap.diagnosis.inference.fitting.starts import begun_anew
+from simgap.diagnosis.inference.fitting.starts import begun_anew, fitted_starts, led
 from simgap.diagnosis.inference.misfit.nonparametric import no_law, nonparametric_law
 from simgap.diagnosis.inference.misfit.relaxation import misfits
 from simgap.diagnosis.inference.noise.find import noise_effects
-from simgap.diagnosis.inference.posed import posed
 from simgap.diagnosis.inference.search.alternatives import Member, defend, drop_dominated
 from simgap.diagnosis.inference.search.disturbances import pushed
 from simgap.diagnosis.inference.search.late import among_late_rivals
@@ -24,9 +23,11 @@ from simgap.diagnosis.inference.search.posterior import spread
 from simgap.diagnosis.inference.search.select import Inputs, search
 from simgap.diagnosis.inference.two_sample import differs, noise_effects_since, whiteness_of
 from simgap.diagnosis.likelihood.linearised import tabulated
-from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate
+from simgap.diagnosis.likelihood.problem import Fit, Problem, evaluate, start, whitening
+from simgap.diagnosis.likelihood.scales import measure
 from simgap.diagnosis.likelihood.segments import Chunks, cut, most_rows, rows_of
-from simgap.engines import Engine
+from simgap.effects.augmented import Augmented
+from simgap.engines import Engine, is_engine
 from simgap.types import Recording, Sessions, StepModel
 
 
@@ -74,7 +75,7 @@ def explain(
 
     An engine is tabulated at the fit of the explanation `before`, or at its nominal parameters without one.
     """
-    problem, nominal, unseen = posed(simulator, sessions, ranges_hold, before)
+    problem, nominal, unseen = _posed(simulator, sessions, ranges_hold, before)
     augmented, scales, chunks, baseline = problem.augmented, problem.scales, problem.chunks, sessions.baseline
     throughout, events = hypotheses_of(augmented, scales), hypotheses_of(augmented, scales, events=True)
     opening = before.rounds[0].accepted_id if before else None
@@ -113,6 +114,36 @@ def explain(
         whiteness_of(problem, fit, len(baseline)), law, best.unseen, best.supports,
         [*best.searched.rounds, *best.rounds], len(baseline),
     )  # fmt: skip
+
+
+def _posed(
+    simulator: StepModel | Engine, sessions: Sessions, ranges_hold: bool, before: Explanation | None
+) -> tuple[Problem, Fit, Chunks]:
+    """The problem, its fit at nominal parameters, and the held-out segments."""
+    augmented = Augmented(simulator)
+    scales, time_step, most = measure(augmented, sessions.fitted), simulator.time_step, most_rows(simulator)
+    chunks = cut(sessions.fitted, time_step, most=most)
+    if sessions.baseline:
+        chunks = opened(augmented.layout, chunks, [Since(len(sessions.baseline))])
+    unseen = cut(sessions.heldout, time_step, len(chunks.row), most)
+    problem = Problem(augmented, scales, chunks, np.eye(len(simulator.schema.outputs)), ranges_hold)
+    problem = _tabulated(problem, before)
+    nominal = evaluate(problem, start(problem), ())
+    problem = problem._replace(whiten=whitening(nominal.e))
+    if before is None and led(problem):
+        problem, fit = fitted_starts(problem, nominal)
+        unseen = fitted_starts(problem._replace(chunks=unseen), fit, free=False)[0].chunks
+        nominal = evaluate(problem, nominal.v, ())
+    return problem, nominal, unseen
+
+
+def _tabulated(problem: Problem, before: Explanation | None) -> Problem:
+    """The problem with an engine tabulated at an earlier fit, or at the start; unchanged without an engine."""
+    if not is_engine(problem.augmented.simulator):
+        return problem
+    v, gate = (start(problem), problem.chunks.gate) if before is None else (before.fit.v, before.problem.chunks.gate)
+    table = tabulated(problem, v, problem.chunks._replace(gate=gate)).table
+    return problem._replace(chunks=problem.chunks._replace(table=table), near=np.asarray(v.phi))
 
 
 def _with_baseline(asked: _Asked, problem: Problem, baseline: Sequence[Recording]) -> Fit:

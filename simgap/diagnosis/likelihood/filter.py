@@ -29,8 +29,6 @@ from simgap.effects.effect import Memory, Row, Scales
 from simgap.kinematics import to_own_frame, to_world, wrapped
 from simgap.layout import Layout
 
-GRAVITY = 9.81
-"""Of what falls [m/s^2]."""
 LEAST_SLOPE = 0.05
 """Slope of a sensor below which its innovations are not divided by it."""
 
@@ -54,16 +52,13 @@ def gain_matrix(augmented: Augmented, scales: Scales, v: Variables) -> Float[Arr
     """K, in the bodies' own frames.
 
     Off-diagonal entries are fitted in units of the time step, so that all are of order one: an innovation of one
-    millimetre corrects a velocity by the order of one millimetre per time step. A body that floats moves by where it
-    leans, so these lengths and angles are in units of each other. Those of a state that is `apart` are in units of its
-    usual size over that of what is measured.
+    millimetre corrects a velocity by the order of one millimetre per time step. Those of a state that is `apart` are in
+    units of its usual size over that of what is measured.
     """
     layout = augmented.layout
     rate = np.array([f.kind == "velocity" for f in layout.schema.state], float)
     i, j = np.array(layout.akin, int).reshape(-1, 2).T
     unit = augmented.simulator.time_step ** (rate[j] - rate[i])
-    # What leans by an angle falls that way: by this length in the first step.
-    unit = unit * (GRAVITY * augmented.simulator.time_step**2) ** (layout.leaning[j].astype(float) - layout.leaning[i])
     if layout.apart.any():
         size = jnp.asarray(scales.output)
         unit = jnp.where(layout.apart[i], size[i] / size[j], unit)

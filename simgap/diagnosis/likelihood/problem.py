@@ -82,8 +82,7 @@ def start(problem: Problem) -> Variables:
     [Kalata 1984]; others, at first, not.
     """
     layout = problem.augmented.layout
-    alike = [(i, j) if layout.leaning[i] == layout.leaning[j] else (j, j) for i, j in layout.akin]
-    follows = [not (layout.observed[i] or layout.apart[i]) and bool(layout.observed[j]) for i, j in alike]
+    follows = [not (layout.observed[i] or layout.apart[i]) and bool(layout.observed[j]) for i, j in layout.akin]
     sizes = (len(layout.schema.state), len(problem.augmented.slots))
     gain, zero = (np.zeros(n, np.float32) for n in sizes)
     phi = problem.augmented.nominal

@@ -2,8 +2,7 @@
 
 The slope of a position is the first guess of its velocity. The first guess of other states is where the simulator as it
 is leads them from zero, given what is measured. These guesses only initialise the filter. The start of each segment is
-fitted together with a model (`inference.starts`), and the filter's estimates replace the guesses; in later passes also
-those of measured states at the beginning of segments.
+fitted together with a model (`inference.starts`), and the filter's estimates replace the guesses.
 """
 
 from collections.abc import Sequence
@@ -12,9 +11,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from simgap.diagnosis.likelihood.filter import corrected, filtered, gain_matrix
+from simgap.diagnosis.likelihood.filter import filtered
 from simgap.diagnosis.likelihood.problem import Problem, estimates
 from simgap.diagnosis.likelihood.segments import RUN_IN, Chunks, bare
 from simgap.diagnosis.likelihood.variables import Variables
@@ -71,16 +70,11 @@ def _led(augmented: Augmented, state: Float[Array, "T s"], command: Float[Array,
 
 
 def _slopes(time_s: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Slope of the parabola through the rows around each row. At the ends of a session there are rows on one side only,
-    and a straight line through them would have the slope of some rows later."""
-    width = min(2 * SLOPE_ROWS + 1, len(values))
-    if width < 2:
-        return np.zeros(len(values))
-    rows = np.clip(np.arange(len(values)) - SLOPE_ROWS, 0, len(values) - width)[:, None] + np.arange(width)
-    t = time_s[rows] - time_s[:, None]
-    unit = np.abs(t).max(1, keepdims=True)
-    powers = (t / unit)[..., None] ** np.arange(min(width, 3))
-    return (np.linalg.pinv(powers)[:, 1] * values[rows]).sum(1) / unit[:, 0]
+    """Least-squares slope over the rows around each row."""
+    rows = np.clip(np.arange(len(values))[:, None] + np.arange(-SLOPE_ROWS, SLOPE_ROWS + 1), 0, len(values) - 1)
+    t, y = time_s[rows], values[rows]
+    t = t - t.mean(1, keepdims=True)
+    return (t * y).sum(1) / np.maximum((t * t).sum(1), 1e-12)
 
 
 def estimated(problem: Problem, v: Variables, recordings: Sequence[Recording]) -> list[Recording]:
@@ -104,40 +98,14 @@ def _recorded(chunks: Chunks) -> list[int]:
 
 def chained(problem: Problem, v: Variables) -> Chunks:
     """Segments whose unmeasured states begin with the estimates of the segment before, where there is one."""
-    chunks, hidden = problem.chunks, ~problem.augmented.layout.observed
-    segment, last, row = _joined(chunks)
-    return _begun(chunks, segment, np.where(hidden, estimates(problem, v)[last, row], chunks.state[segment, 0]))
-
-
-def continued(before: Problem, v: Variables, chunks: Chunks) -> Chunks:
-    """Segments all of whose states begin with what a fitted model makes of the rows before, where there are some.
-
-    before: its problem, with the same segments. Where nothing holds a body, one measurement of its position says much
-    less of where it is than all those before; such an error stays, unless the filter's gain follows the noise.
-    """
-    layout, K = before.augmented.layout, gain_matrix(before.augmented, before.scales, v)
-    found = filtered(before.augmented, before.scales, v, before.chunks, v.phi)
-    segment, last, row = _joined(before.chunks)
-    estimate, e = found.states[last, row], found.innovations[last, row - 1]
-    e = jnp.pad(e, ((0, 0), (0, len(layout.observed) - e.shape[1])))
-    left = e - (jax.vmap(partial(corrected, layout, K))(estimate, e) - estimate)
-    # In what sensors show, as all that a segment begins with is.
-    return _begun(chunks, segment, np.where(layout.observed, chunks.state[segment, 0] - left, estimate))
-
-
-def _joined(chunks: Chunks) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Segments that begin within the one before, of the same session; that one; and its row where they begin."""
-    recorded = np.array(_recorded(chunks), int)
-    segment, last = recorded[1:], recorded[:-1]
-    row = chunks.row[segment] - chunks.row[last]
-    within = (chunks.session[segment] == chunks.session[last]) & (row < chunks.state.shape[1] - 1)
-    return segment[within], last[within], row[within]
-
-
-def _begun(chunks: Chunks, segment: Int[np.ndarray, " n"], first: Float[np.ndarray, "n s"]) -> Chunks:
-    """With other first rows of some segments, where these are finite."""
-    state = np.array(chunks.state)
-    state[segment, 0] = np.where(np.isfinite(first), first, state[segment, 0])
+    hidden, chunks = ~problem.augmented.layout.observed, problem.chunks
+    x, state, last = estimates(problem, v), np.array(chunks.state), None
+    for chunk in _recorded(chunks):
+        rows = chunks.row[chunk] - chunks.row[last] if last is not None else 0
+        if last is not None and chunks.session[chunk] == chunks.session[last] and rows < x.shape[1]:
+            found = x[last, rows, hidden]
+            state[chunk, 0, hidden] = np.where(np.isfinite(found), found, state[chunk, 0, hidden])
+        last = chunk
     return chunks._replace(state=jnp.asarray(state))
 
 

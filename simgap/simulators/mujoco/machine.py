@@ -55,9 +55,7 @@ class Machine:
             # Their kind is none that a law of motion acts on. The change per row has the unit of an innovation.
             hidden += [Field(f"{joint.name}_{what}", joint.unit, "force", "body", joint.name, joint.axis, False)
                        for what in ("deflection", "deflection_per_row")]  # fmt: skip
-        names = {j.name for j in self.joints if j.floating}
-        floating = tuple(dict.fromkeys(parts(name.rpartition("_")[0]) for name in names))
-        return Schema((*position, *velocity, *hidden), tuple(_command(a) for a in self.actuators), floating=floating)
+        return Schema((*position, *velocity, *hidden), tuple(_command(a) for a in self.actuators))
 
 
 def count(model: mujoco.MjModel) -> int:
