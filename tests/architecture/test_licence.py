@@ -46,7 +46,7 @@ def test_the_notice_names_the_source_and_what_is_computed_from_it() -> None:
     assert "github.com/benjirer/simulation_transfer, under the MIT licence" in notice
     for source in ("SO-ARM100, Apache-2.0", "Rhoban/bam, Apache-2.0", "discovery-of-physics-from-data, MIT"):
         assert source in notice
-    simulated = {"reports/ground", "reports/sealed", "reports/virtual"}
+    simulated = {"reports/ground", "reports/sealed", "reports/tests", "reports/virtual"}
     listed = {"reports/external", "reports/spot"}
     assert {str(p.relative_to(ROOT)) for p in (ROOT / "reports").iterdir() if p.is_dir()} <= listed | simulated
     for folder in (*listed, "reports/sealed/real"):
