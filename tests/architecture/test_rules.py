@@ -147,6 +147,11 @@ def test_both_pipelines_are_the_same_but_for_the_source() -> None:
     assert ours == spots
 
 
+def is_covered(path: str, deps: Sequence[str]) -> bool:
+    """Whether a file is a dependency, alone or by its folder."""
+    return any(path == dep or path.startswith(f"{dep}/") for dep in deps)
+
+
 def assert_covered(deps: Sequence[str], starts: Sequence[str], but: Sequence[str] = ()) -> None:
     """Every module of simgap and tasks that these import for their numbers is a dependency, alone or by its folder."""
     from tasks.fingerprint import modules_of
@@ -154,7 +159,7 @@ def assert_covered(deps: Sequence[str], starts: Sequence[str], but: Sequence[str
     for path in modules_of(starts):
         relative = str(path.relative_to(ROOT))
         if relative not in but:
-            assert any(relative == d or relative.startswith(f"{d}/") for d in deps), relative
+            assert is_covered(relative, deps), relative
 
 
 @pytest.mark.parametrize(("pipeline", "stage"), [("dvc.yaml", "train"), ("pipelines/diagnosed/dvc.yaml", "sweep")])
@@ -196,23 +201,31 @@ def test_no_learner_knows_the_robot_that_its_policy_is_run_on() -> None:
     assert not [path for path in files if "robots" in path.parts]
 
 
-@pytest.mark.parametrize("stage", ["simgap", "pipeline"])
+LONG = yaml.safe_load((ROOT / "pipelines" / "long_tests" / "dvc.yaml").read_text())["stages"]
+"""Stages of long tests."""
+
+
+def long_tests(*folders: str) -> list[Path]:
+    """Files of tests in these folders that have long ones."""
+    files = (path for folder in folders for path in (ROOT / folder).rglob("test_*.py"))
+    return [path for path in files if path != Path(__file__) and "pytest.mark.long" in path.read_text()]
+
+
+def folders_of(stage: str) -> list[str]:
+    """Folders of tests that a stage runs."""
+    return [word for word in LONG[stage]["cmd"].split() if word.startswith("tests/")]
+
+
+@pytest.mark.parametrize("stage", LONG)
 def test_long_tests_are_run_again_when_what_they_import_changes(stage: str) -> None:
-    given = yaml.safe_load((ROOT / "pipelines" / "long_tests" / "dvc.yaml").read_text())["stages"][stage]
-    folders = [word for word in given["cmd"].split() if word.startswith("tests/")]
-    long = [path for f in folders for path in (ROOT / f).rglob("test_*.py") if "pytest.mark.long" in path.read_text()]
-    assert long
-    files, _ = reached([str(path.relative_to(ROOT)) for path in long])
-    for path in sorted(str(path.relative_to(ROOT)) for path in files):
-        assert any(path == d or path.startswith(f"{d}/") for d in given["deps"]), path
+    files, _ = reached([str(path.relative_to(ROOT)) for path in long_tests(*folders_of(stage))])
+    assert files
+    for path in files:
+        assert is_covered(str(path.relative_to(ROOT)), LONG[stage]["deps"]), path
 
 
 def test_every_long_test_is_of_one_of_the_stages() -> None:
-    stages = yaml.safe_load((ROOT / "pipelines" / "long_tests" / "dvc.yaml").read_text())["stages"]
-    folders = [word for stage in stages.values() for word in stage["cmd"].split() if word.startswith("tests/")]
-    for path in (ROOT / "tests").rglob("test_*.py"):
-        if "architecture" not in path.parts and "pytest.mark.long" in path.read_text():
-            assert any(path.is_relative_to(ROOT / folder) for folder in folders), path
+    assert set(long_tests("tests")) == {path for stage in LONG for path in long_tests(*folders_of(stage))}
 
 
 def imported(path: Path) -> set[str]:

@@ -55,7 +55,6 @@ def run(copy: Path) -> Callable[..., str]:
     return ran
 
 
-@pytest.mark.long
 def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path, run: Callable[..., str]) -> None:
     run("dvc", "repro")
     assert (copy / "dvc.lock").exists()
@@ -74,7 +73,6 @@ def test_repro_makes_everything_once_and_sweeps_leave_it_alone(copy: Path, run: 
     assert "nll_sim_model" in run("dvc", "metrics", "diff", "--all", "--json")
 
 
-@pytest.mark.long
 def test_a_remote_gives_a_clone_what_git_does_not_hold(copy: Path, run: Callable[..., str], tmp_path: Path) -> None:
     """As how_to/reproduce.md says: without one there are reports and metrics, after `dvc pull` the data too."""
     assert (copy / "dvc.lock").exists()
@@ -101,7 +99,6 @@ def test_a_remote_gives_a_clone_what_git_does_not_hold(copy: Path, run: Callable
     assert "up to date" in run("dvc", *there, "status", "dvc.yaml")
 
 
-@pytest.mark.long
 def test_an_experiment_changes_what_a_sweep_may_change(copy: Path, run: Callable[..., str]) -> None:
     """Of DVC, on the stages before it that are there already."""
     changed = ("train.seeds=[1]", "train.sim_model.learning_rate=0.01", "train.models=[sim_model]")
